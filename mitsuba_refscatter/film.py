@@ -1,0 +1,91 @@
+"""Camera samples into the film: passes, filter, alpha, extra channels."""
+
+import drjit as dr
+import mitsuba as mi
+
+from . import tolerances
+
+
+def render(sample, sensor, seed, spp, aovs, develop, evaluate, progress):
+    """Renders in passes of at most ``tolerances.PASS_SAMPLES`` camera samples, at least one per pixel.
+
+    ``sample(sampler, ray, active, progress) -> (radiance, valid, extra channels)``; arguments as in Mitsuba's
+    ``Integrator.render``. ``progress(fraction)`` may be None.
+    """
+    film, sampler = sensor.film(), sensor.sampler().clone()
+    if spp:
+        sampler.set_sample_count(spp)
+    spp = sampler.sample_count()
+    border = film.rfilter().border_size() if film.sample_border() else 0
+    size = film.crop_size() + 2 * border
+    pixels = int(size[0]) * int(size[1])
+    per_pass = _divisor(spp, max(1, tolerances.PASS_SAMPLES // pixels))
+    sampler.set_samples_per_wavefront(per_pass)
+    sampler.seed(seed, pixels * per_pass)
+    film.prepare(aovs)
+    block = film.create_block()
+    block.set_coalesce(block.coalesce() and per_pass >= 4)
+    passes = spp // per_pass
+    for k in range(passes):
+        ray, weight, position = _rays(sensor, sampler, film, size, border, per_pass)
+        report = None if progress is None else lambda x, k=k: progress((k + x) / passes)
+        value, valid, extra = sample(sampler, ray, True, report)
+        _put(block, film, position, value * weight, valid, extra, ray.wavelengths)
+        sampler.advance()
+        sampler.schedule_state()
+        dr.eval(block.tensor())
+    film.put_block(block)
+    if progress is not None:
+        progress(1.0)
+    if not develop:
+        return mi.TensorXf()
+    image = film.develop()
+    dr.schedule(image)
+    if evaluate:
+        dr.eval()
+        dr.sync_thread()
+    return image
+
+
+def _divisor(spp, most):
+    """The largest divisor of ``spp`` that is at most ``most``."""
+    return max(k for k in range(1, min(spp, most) + 1) if spp % k == 0)
+
+
+def _rays(sensor, sampler, film, size, border, per_pass):
+    """One wavefront of camera rays: ``per_pass`` neighbouring lanes belong to one pixel."""
+    width = dr.opaque(mi.UInt32, int(size[0]))
+    pixel = dr.arange(mi.UInt32, int(size[0]) * int(size[1]) * per_pass) // dr.opaque(mi.UInt32, per_pass)
+    corner = mi.Point2f(film.crop_offset()) - float(border)
+    whole = mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width)) + corner
+    position = whole + sampler.next_2d()
+    scaled = (position - mi.Point2f(film.crop_offset())) / mi.Point2f(film.crop_size())
+    aperture = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
+    time = sensor.shutter_open()
+    if sensor.shutter_open_time() > 0:
+        time += sampler.next_1d() * sensor.shutter_open_time()
+    wavelength = sampler.next_1d() if mi.is_spectral else mi.Float(0)
+    ray, weight = sensor.sample_ray_differential(time, wavelength, scaled, aperture)
+    dr.eval(ray, weight, position)
+    # With a box filter the offset inside the pixel must not matter, not even by rounding.
+    return ray, weight, whole if film.rfilter().is_box_filter() else position
+
+
+def _put(block, film, position, value, valid, extra, wavelengths):
+    alpha = dr.select(valid, mi.Float(1), mi.Float(0))
+    if mi.has_flag(film.flags(), mi.FilmFlags.Special):
+        block.put(position, film.prepare_sample(value, wavelengths, block.channel_count(), weight=mi.Float(1), alpha=alpha))
+        return
+    channels = to_rgb(value, wavelengths)
+    if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
+        channels = channels + [alpha]
+    block.put(position, channels + [mi.Float(1)] + extra)
+
+
+def to_rgb(value, wavelengths):
+    """A spectrum as three channels, as Mitsuba's films store it."""
+    if mi.is_spectral:
+        value = mi.spectrum_to_srgb(value, wavelengths)
+    elif mi.is_monochromatic:
+        value = mi.Color3f(value.x)
+    return [value.x, value.y, value.z]

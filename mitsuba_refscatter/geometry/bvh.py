@@ -1,0 +1,110 @@
+"""A perfect binary tree over items: built level by level, traversed without a stack.
+
+Nodes are in heap order: the root is 1, the children of ``i`` are ``2 i`` and ``2 i + 1``, and with
+``depth`` levels below the root the leaves are ``2^depth .. 2^(depth+1) - 1``. A leaf holds ``LEAF``
+consecutive items. Node bounds belong to the caller, who gives a ``merge`` and a ``hit`` function.
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .triangle import gather_numbers, scatter_numbers
+
+LEAF = 4
+"""Items in a leaf. Fixed, so that no kernel depends on the number of items."""
+
+
+@dataclass
+class Tree:
+    """``nodes``: flat records of ``record`` numbers for 2^(depth+1) heap slots (slot 0 unused)."""
+
+    nodes: object
+    record: int
+    depth: int
+
+
+def depth_for(n_items):
+    """Levels below the root such that the leaves hold ``n_items``."""
+    leaves = max(1, -(-n_items // LEAF))
+    return int(np.ceil(np.log2(leaves)))
+
+
+def median_order(points):
+    """Order of items for the tree: recursive median split along the widest axis. (N, 3) -> (N,) indices.
+
+    Vectorised over the nodes of a level; the empty places at the end are sorted behind everything.
+    """
+    n = len(points)
+    depth = depth_for(n)
+    size = LEAF << depth
+    padded = np.full((size, 3), np.inf, dtype=np.float32)
+    padded[:n] = points
+    order = np.arange(size)
+    for level in range(depth):
+        rows = order.reshape(1 << level, -1)
+        p = padded[rows]
+        low = p.min(axis=1)
+        high = np.where(np.isfinite(p), p, -np.inf).max(axis=1)
+        with np.errstate(invalid="ignore"):
+            extent = high - low
+        key = np.take_along_axis(p, np.nan_to_num(extent).argmax(axis=1)[:, None, None], axis=2)[:, :, 0]
+        split = np.argpartition(key, rows.shape[1] // 2, axis=1)
+        order = np.take_along_axis(rows, split, axis=1).ravel()
+    return order[order < n]
+
+
+def fold(leaf_bounds, depth, merge, pack, record):
+    """Builds the tree from the bounds of its leaves (a tuple of Dr.Jit arrays of width 2^depth).
+
+    ``merge(a, b)`` bounds two bounds; ``pack(bounds)`` gives the ``record`` numbers of a node. All
+    levels run the same kernel.
+    """
+    nodes = dr.empty(mi.Float, record << (depth + 1))
+    bounds = leaf_bounds
+    for level in range(depth, -1, -1):
+        first = dr.opaque(mi.UInt32, 1 << level)
+        i = dr.arange(mi.UInt32, 1 << level)
+        scatter_numbers(nodes, pack(bounds), first + i)
+        dr.eval(nodes)
+        if level > 0:
+            i = dr.arange(mi.UInt32, 1 << (level - 1))
+            left = tuple(dr.gather(type(b), b, 2 * i) for b in bounds)
+            right = tuple(dr.gather(type(b), b, 2 * i + 1) for b in bounds)
+            bounds = merge(left, right)
+            dr.eval(bounds)
+    return Tree(nodes, record, depth)
+
+
+def traverse(tree, lanes, hit, capacity):
+    """All (lane, leaf) pairs that ``hit`` does not exclude.
+
+    ``lanes``: UInt32 indices of the queries; ``hit(lane, numbers of a node) -> Bool``, conservative.
+    Returns ``(lane, leaf, count)``: two UInt32 arrays of ``capacity`` places, and the number of pairs
+    found. Where ``count > capacity`` the rest was counted but not stored: ask again for fewer lanes.
+    """
+    out_lane, out_leaf = dr.empty(mi.UInt32, capacity), dr.empty(mi.UInt32, capacity)
+    counter = dr.zeros(mi.UInt32)
+    first_leaf = dr.opaque(mi.UInt32, 1 << tree.depth)
+    limit = dr.opaque(mi.UInt32, capacity)
+
+    def step(node, active):
+        inside = active & hit(lanes, gather_numbers(tree.nodes, node, tree.record, active))
+        is_leaf = node >= first_leaf
+        emit = inside & is_leaf
+        slot = dr.scatter_inc(counter, mi.UInt32(0), emit)
+        emit &= slot < limit
+        dr.scatter(out_lane, lanes, slot, emit)
+        dr.scatter(out_leaf, node - first_leaf, slot, emit)
+        # Next in depth-first order: down to the left child, or on to the nearest unvisited right one.
+        right = node + 1
+        right >>= dr.tzcnt(right)
+        node = dr.select(inside & ~is_leaf, 2 * node, right)
+        return node, active & (node != 1)
+
+    node, active = mi.UInt32(1) + dr.zeros(mi.UInt32, dr.width(lanes)), dr.full(mi.Bool, True, dr.width(lanes))
+    dr.while_loop((node, active), lambda node, active: active, step, label="traverse", mode="symbolic")
+    dr.eval(out_lane, out_leaf, counter)
+    return out_lane, out_leaf, int(counter[0])

@@ -1,0 +1,184 @@
+"""The Mitsuba plugin ``refscatter``. Reloaded by ``plugin.py`` for every variant."""
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import camera, film, lanes, options, platform, tolerances, visibility, wavefront
+from ..culling import beams as light_beams
+from ..estimators import curve
+from ..scene import read
+from ..wavefront import Segments
+
+NESTED_WITH_MEDIA = ("VolumetricPathIntegrator", "VolumetricMisPathIntegrator", "PRBVolpathIntegrator")
+
+
+class RefscatterIntegrator(mi.SamplingIntegrator):
+    """Single scattering in media with refractive boundaries, without noise.
+
+    .. pluginparameters::
+
+     * - estimator
+       - |string|
+       - How light is summed along a camera segment: ``curve``. (Default: curve)
+     * - culling
+       - |string|
+       - How triangles are found for a segment: ``beams``. (Default: beams)
+     * - tolerance
+       - |float|
+       - Relative error of the single-scattering image that is aimed at, 0 to 1; 0 is exact to float32.
+         (Default: 0.01)
+     * - internal_bounces
+       - |int|
+       - Internal reflections of the camera ray, and hits from outside after the first. (Default: 4)
+     * - surfaces
+       - |bool|
+       - Also what is seen by reflection and through the bodies, shaded by the nested integrator.
+         (Default: true)
+     * - aovs
+       - |string|
+       - Extra channels: ``single_scatter``, ``surfaces``, ``candidates``, ``contributions``,
+         ``unresolved``, comma-separated. (Default: none)
+     * - (Nested plugin)
+       - |integrator|
+       - Shades surfaces; must ignore media. (Default: ``path``)
+
+    .. code-block:: python
+
+        'type': 'refscatter', 'tolerance': 0.01, 'surfaces': False
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        platform.require_usable(mi.variant())
+        self.options = options.read(props)
+        self.nested = _nested(props)
+        self.progress = None
+        self.counts = wavefront.Counts()
+
+    def aov_names(self):
+        return [channel for name in options.aov_list(self.options) for channel in options.AOVS[name]]
+
+    def to_string(self):
+        inside = ", ".join(f"{key} = {value}" for key, value in vars(self.options).items())
+        return f"RefscatterIntegrator[{inside}]"
+
+    def sample(self, scene, sampler, ray, medium=None, active=True):
+        """Radiance along the rays. Evaluates kernels, so it cannot be part of a symbolic loop or call."""
+        if dr.flag(dr.JitFlag.SymbolicScope):
+            raise RuntimeError("refscatter cannot run inside a symbolic loop or call: call it on evaluated rays")
+        with dr.suspend_grad():
+            return self._sample(Prepared(scene, self.options), sampler, ray, active, None)
+
+    def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
+        platform.require_usable(mi.variant())
+        if isinstance(sensor, int):
+            sensor = scene.sensors()[sensor]
+        with dr.suspend_grad():
+            prepared = Prepared(scene, self.options)
+            self.counts = prepared.counts
+            return film.render(lambda *a: self._sample(prepared, *a), sensor, seed, spp, self.aov_names(),
+                               develop, evaluate, self.progress)  # fmt: skip
+
+    def _sample(self, prepared, sampler, ray, active, progress):
+        """One wavefront of camera rays: chain, single scattering along it, surfaces at its ends."""
+        n, opt = dr.width(ray), self.options
+        wanted = options.aov_list(opt)
+        ray = mi.Ray3f(ray)
+        paths = camera.trace(prepared.scene, ray, active, opt.internal_bounces, opt.surfaces, prepared.accuracy.weight)
+        single = scatter(prepared, paths, ray, n, detail=bool({"candidates", "contributions", "unresolved"} & set(wanted)),
+                         progress=progress)  # fmt: skip
+        shown = shade(self.nested, prepared.scene.mi_scene, paths.ends, sampler, ray, n) if opt.surfaces else mi.Spectrum(0)
+        extra = {
+            "single_scatter": lambda: film.to_rgb(single.radiance, ray.wavelengths),
+            "surfaces": lambda: film.to_rgb(shown + dr.zeros(mi.Spectrum, n), ray.wavelengths),
+            "candidates": lambda: [single.candidates],
+            "contributions": lambda: [single.contributions],
+            "unresolved": lambda: [dr.select(single.unresolved > 0, mi.Float(1), 0)],
+        }
+        return single.radiance + shown, paths.hit, [x for name in wanted for x in extra[name]()]
+
+
+class Prepared:
+    """What one render needs to know of a scene, read once: records, accuracy, light beams."""
+
+    def __init__(self, scene, opt):
+        self.scene = read(scene)
+        self.accuracy = tolerances.accuracy(opt.tolerance)
+        self.counts = wavefront.Counts()
+        self._beams = {}
+
+    def beams(self, body, light):
+        """Position of the light in body coordinates, and its beams in the body (made at first use)."""
+        key = (body.index, light.index)
+        if key not in self._beams:
+            L = dr.opaque(mi.Point3f, [float(x) for x in light.position - body.centre])
+            self._beams[key] = (L, light_beams.build(body, self.scene.records, L, self.accuracy.bend))
+        return self._beams[key]
+
+
+class Single:
+    """Sums per camera sample."""
+
+    def __init__(self, n, detail):
+        self.radiance = dr.zeros(mi.Spectrum, n)
+        if detail:
+            self.candidates, self.contributions, self.unresolved = (dr.zeros(mi.Float, n) for _ in range(3))
+
+
+def scatter(prepared, paths, ray, n, detail, progress):
+    """Single scattering of all lights along all segments of the camera paths."""
+    scene, single = prepared.scene, Single(n, detail)
+    work = [(body, light) for body in scene.bodies for light in scene.lights if paths.segments[body.index]]
+    for i, (body, light) in enumerate(work):
+        L, beams = prepared.beams(body, light)
+        if beams is None:
+            continue
+        o, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[body.index]))
+        wavelengths = dr.gather(type(ray.wavelengths), ray.wavelengths, sample) if mi.is_spectral else ray.wavelengths
+        sigma_s, sigma_t = body.coefficients(wavelengths)
+        segments = Segments(o - mi.Point3f(dr.opaque(mi.Point3f, body.centre)), d, t_max, sigma_t)
+        lit, inside = visibility.tests(scene, body, L)
+        lighting = curve.Lighting(L, dr.opaque(mi.Float, body.eta), body.eta < 1, body.g, lit, inside)
+        report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
+        sums, candidates, counts = wavefront.scatter(segments, beams, scene.records, lighting, prepared.accuracy, detail, report)
+        prepared.counts.add(counts)
+        factor = weight * sigma_s * light.intensity(wavelengths)
+        dr.scatter_add(single.radiance, factor * sums.value, sample)
+        if detail:
+            dr.scatter_add(single.candidates, candidates, sample)
+            dr.scatter_add(single.contributions, sums.contributions, sample)
+            dr.scatter_add(single.unresolved, sums.unresolved, sample)
+        dr.eval(single.__dict__)
+    return single
+
+
+def shade(nested, mi_scene, ends, sampler, ray, n):
+    """Radiance that the ends of the camera paths bring, by the nested integrator."""
+    out = dr.zeros(mi.Spectrum, n)
+    for k, legs in enumerate(ends):
+        leg = mi.RayDifferential3f(mi.Ray3f(legs.o, legs.d))
+        leg.time = dr.gather(mi.Float, ray.time, legs.sample) if dr.width(ray.time) > 1 else ray.time
+        leg.wavelengths = dr.gather(type(ray.wavelengths), ray.wavelengths, legs.sample) if mi.is_spectral else ray.wavelengths
+        fresh = mi.load_dict({"type": "independent"})
+        fresh.seed(mi.UInt32(dr.opaque(mi.UInt32, 0)) + seed_from(sampler), len(legs))
+        value, _, _ = nested.sample(mi_scene, fresh, leg, None, True)
+        dr.scatter_add(out, legs.weight * value, legs.sample)
+        dr.eval(out)
+    return out
+
+
+def seed_from(sampler):
+    """A seed for independent samples of another number of lanes, drawn from the sampler."""
+    x = sampler.next_1d()
+    return int(float(x[0]) * 2**31)
+
+
+def _nested(props):
+    nested = [props[name] for name in props.keys() if isinstance(props[name], mi.Integrator)]
+    if len(nested) > 1:
+        raise options.OptionError("refscatter: more than one nested integrator is given: give one")
+    if not nested:
+        return mi.load_dict({"type": "path"})
+    if nested[0].class_name() in NESTED_WITH_MEDIA or type(nested[0]).__name__ in NESTED_WITH_MEDIA:
+        raise options.OptionError("refscatter: the nested integrator samples media, which would count scattering twice: use path")
+    return nested[0]

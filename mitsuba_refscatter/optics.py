@@ -1,0 +1,80 @@
+"""Refraction and reflection at a smooth boundary, and phase functions. Knows no scene and no mesh.
+
+Conventions: unit vectors point away from the surface point; ``eta = n_in / n_out``; the normal ``n``
+is a unit vector that points out of the body. All functions take Dr.Jit arrays of any width.
+"""
+
+import drjit as dr
+
+
+def refract_in(omega_L, n, eta):
+    """Refracts light that arrives from outside into the body (Snell).
+
+    ``omega_L`` points from the surface to the light. Returns ``(omega, c_L, c_V)``: the unit direction
+    of travel inside, the cosine outside and the cosine inside. Where there is no refracted ray (total
+    reflection, eta < 1) ``c_V`` is 0 and ``omega`` its limit at the critical angle; for ``c_L < 0``
+    (unlit) the formula's smooth continuation is returned. Callers test ``c_L`` and ``c_V``.
+    """
+    c_L = dr.dot(omega_L, n)
+    c_V = dr.safe_sqrt(1 - (1 - dr.square(c_L)) / dr.square(eta))
+    omega = dr.fma(n, c_L / eta - c_V, -omega_L / eta)
+    return omega, c_L, c_V
+
+
+def refract_in_derivative(omega_L, n, eta, c_L, c_V, d_omega_L, d_n):
+    """Derivative of ``refract_in``'s direction, given those of ``omega_L`` and ``n``."""
+    d_c_L = dr.dot(d_omega_L, n) + dr.dot(omega_L, d_n)
+    d_c_V = d_c_L * c_L / (dr.square(eta) * dr.maximum(c_V, 1e-6))
+    return -d_omega_L / eta + d_n * (c_L / eta - c_V) + n * (d_c_L / eta - d_c_V)
+
+
+def transmission(c_L, c_V, eta):
+    """``(1 - F) c_L / c_V`` for light going in: flux transmitted, per cosine-weighted area inside.
+
+    Written without the division 0/0 at eta = 1, at grazing incidence and at the critical angle:
+    ``2 eta c_L^2 [1/(c_L + eta c_V)^2 + 1/(eta c_L + c_V)^2]``. Zero for unlit points.
+    """
+    c = dr.maximum(c_L, 0)
+    s_wave = dr.rcp(dr.maximum(c + eta * c_V, 1e-12))
+    p_wave = dr.rcp(dr.maximum(eta * c + c_V, 1e-12))
+    return 2 * eta * (dr.square(c * s_wave) + dr.square(c * p_wave))
+
+
+def fresnel(cos_i, eta_ti):
+    """Unpolarised Fresnel reflectance and the cosine behind the boundary.
+
+    ``cos_i >= 0`` is the cosine on the incident side, ``eta_ti`` the index behind the boundary over that
+    before it. Returns ``(F, cos_t)``; under total reflection ``F = 1`` and ``cos_t = 0``.
+    """
+    sin2_t = (1 - dr.square(cos_i)) / dr.square(eta_ti)
+    cos_t = dr.safe_sqrt(1 - sin2_t)
+    # The floor only matters for eta = 1 at grazing incidence, where nothing is reflected.
+    r_s = (cos_i - eta_ti * cos_t) / dr.maximum(cos_i + eta_ti * cos_t, 1e-12)
+    r_p = (eta_ti * cos_i - cos_t) / dr.maximum(eta_ti * cos_i + cos_t, 1e-12)
+    F = 0.5 * (dr.square(r_s) + dr.square(r_p))
+    return dr.select(sin2_t >= 1, 1, F), cos_t
+
+
+def reflect(d, n):
+    """Mirror direction of the travelling direction ``d`` about ``n``."""
+    return d - 2 * dr.dot(d, n) * n
+
+
+def refract(d, n, cos_t, eta_ti):
+    """Direction behind the boundary of the travelling direction ``d``.
+
+    ``n`` is the unit normal on the incident side (``dot(d, n) <= 0``); ``cos_t`` from ``fresnel``.
+    """
+    cos_i = -dr.dot(d, n)
+    return dr.normalize(d / eta_ti + n * (cos_i / eta_ti - cos_t))
+
+
+def isotropic():
+    """Phase function of isotropic scattering, 1/sr."""
+    return dr.inv_four_pi
+
+
+def henyey_greenstein(cosine, g):
+    """Henyey-Greenstein phase function, 1/sr; ``cosine`` is +1 for forward scattering."""
+    base = dr.maximum(1 + dr.square(g) - 2 * g * cosine, 1e-9)
+    return dr.inv_four_pi * (1 - dr.square(g)) * dr.rsqrt(base) / base

@@ -1,0 +1,61 @@
+"""The options of the integrator, each once: name, type, default, meaning."""
+
+from dataclasses import dataclass, field, fields
+
+
+class OptionError(ValueError):
+    """A property with a value or type that the integrator does not take."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Properties of ``<integrator type="refscatter">``."""
+
+    estimator: str = field(default="curve", metadata={"choices": ("curve",), "meaning": "how light is summed along a segment"})
+    culling: str = field(default="beams", metadata={"choices": ("beams",), "meaning": "how triangles are found for a segment"})
+    tolerance: float = field(default=0.01, metadata={"range": (0, 1), "meaning": "relative error of the image aimed at"})
+    internal_bounces: int = field(default=4, metadata={"range": (0, 64), "meaning": "internal reflections of the camera ray"})
+    surfaces: bool = field(default=True, metadata={"meaning": "also show what is seen by reflection and through bodies"})
+    aovs: str = field(default="", metadata={"meaning": "extra channels, comma-separated names of AOVS"})
+
+
+AOVS = {
+    "single_scatter": ("single_scatter.R", "single_scatter.G", "single_scatter.B"),
+    "surfaces": ("surfaces.R", "surfaces.G", "surfaces.B"),
+    "candidates": ("candidates",),
+    "contributions": ("contributions",),
+    "unresolved": ("unresolved",),
+}
+"""Extra outputs and their channels."""
+
+
+def read(props):
+    """Reads ``Options`` from ``mi.Properties``; raises ``OptionError`` for a wrong type or value."""
+    values = {}
+    for option in fields(Options):
+        if option.name not in props:
+            continue
+        value, kind = props[option.name], type(option.default)
+        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if type(value) is not kind:
+            raise OptionError(f'refscatter: property "{option.name}" has the value {value!r}: it must be of type {_KINDS[kind]}')
+        choices, bounds = option.metadata.get("choices"), option.metadata.get("range")
+        if choices and value not in choices:
+            raise OptionError(f'refscatter: property "{option.name}" is {value!r}: it must be {" or ".join(choices)}')
+        if bounds and not bounds[0] <= value <= bounds[1]:
+            raise OptionError(f'refscatter: property "{option.name}" is {value}: it must lie in [{bounds[0]}, {bounds[1]}]')
+        values[option.name] = value
+    options = Options(**values)
+    for name in aov_list(options):
+        if name not in AOVS:
+            raise OptionError(f'refscatter: property "aovs" names {name!r}: known are {", ".join(AOVS)}')
+    return options
+
+
+_KINDS = {float: "float", int: "integer", str: "string", bool: "boolean"}
+
+
+def aov_list(options):
+    """Names in the property ``aovs``."""
+    return [name.strip() for name in options.aovs.split(",") if name.strip()]

@@ -1,0 +1,69 @@
+"""Every threshold of the package: its name, unit and reason. No other module holds a bare epsilon."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SHADOW_OFFSET = 2e-6
+"""Relative to the scene's largest coordinate: how far shadow rays start off the surface. float32 rounds
+positions to 6e-8 of them and an intersection loses a few times that."""
+
+SHADOW_END = 1e-4
+"""Relative to its length: what a shadow ray leaves out at its end, where V may lie on the boundary."""
+
+CAMERA_OFFSET = 2e-6
+"""Relative to the scene's largest coordinate: how far camera legs start off a boundary."""
+
+PARALLEL = 1e-6
+"""sin^2 of the angle between light and camera ray below which they have no common point in float32."""
+
+SLOPE = 0.25
+"""Smallest |dg/dlambda| at a root relative to its value for a linear beam. Below, the curve turns back
+inside the triangle (a fold) and the linear beam is the better estimate; counted as unresolved."""
+
+OVERSHOOT = 2.0
+"""Largest lambda taken for a root on the ray through the chord; beyond, the linear beam is used."""
+
+MAX_SUBDIVISION = 5
+"""Most levels (each cuts a triangle in 4) by which a strongly bent beam is refined."""
+
+CHUNK_PAIRS = 1 << 22
+"""Places of the (segment, leaf) buffer: 32 MiB; with what the filter makes of it about 0.5 GiB."""
+
+CHUNK_SEGMENTS = 1 << 16
+"""Most segments that are traversed in one kernel: keeps kernels well below a second."""
+
+PASS_SAMPLES = 1 << 18
+"""Most camera samples in one pass of the film."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """What the one knob ``tolerance`` selects.
+
+    ``bend``: largest deviation of a light beam from a linear one, relative to its width; beams that are
+    bent more are subdivided. ``points``: Gauss points along the curve in one beam. ``newton``: Newton
+    steps per point. ``weight``: camera legs with a smaller weight are dropped.
+    """
+
+    bend: float
+    points: int
+    newton: int
+    weight: float
+
+
+def accuracy(tolerance):
+    """The counts that are safe for a relative error ``tolerance`` of the image (0: exact to float32)."""
+    if tolerance >= 0.1:
+        return Accuracy(bend=0.5, points=1, newton=1, weight=1e-2 * tolerance)
+    if tolerance >= 0.01:
+        return Accuracy(bend=0.1, points=1, newton=1, weight=1e-2 * tolerance)
+    if tolerance >= 0.001:
+        return Accuracy(bend=0.05, points=2, newton=2, weight=1e-2 * tolerance)
+    return Accuracy(bend=0.02, points=4, newton=3, weight=1e-2 * tolerance)
+
+
+def gauss(points):
+    """Gauss-Legendre nodes and weights on [0, 1] as Python floats."""
+    x, w = np.polynomial.legendre.leggauss(points)
+    return [float(v) for v in 0.5 * (x + 1)], [float(v) for v in 0.5 * w]
