@@ -27,7 +27,8 @@ class SceneError(RuntimeError):
 class Body:
     """A closed triangle mesh with a smooth dielectric boundary.
 
-    ``corners``: float64 (F, 3, 3), world; ``first_record``: of its triangles in ``Scene.records``;
+    ``corners``: float64 (F, 3, 3), world; ``normals``: unit, geometric, outward
+    (F, 3); ``twin``: of each directed edge (``mesh.twins``); ``first_record``: of its triangles in ``Scene.records``;
     ``centre``: 3 floats; ``box_low``, ``box_high``: body coordinates; ``size``: diagonal of the box;
     ``medium``: None for a clear body; ``g``: Henyey-Greenstein asymmetry (Float) or None if isotropic.
     """
@@ -37,6 +38,8 @@ class Body:
     index: int
     eta: float
     corners: np.ndarray
+    normals: np.ndarray
+    twin: np.ndarray
     centre: list
     first_record: int
     triangle_count: int
@@ -202,7 +205,8 @@ def _read_body(shape, index, first_record):
                          "refscatter needs a closed surface; close it or make its orientation consistent")  # fmt: skip
     # A mirrored transform turns the winding: the interior is what the surface encloses, either way.
     Ng = triangle.geometric_normal(corners) * np.sign(mesh_facts.volume(corners))
-    if normals is None:
+    eta = _eta(shape.bsdf(), name)
+    if normals is None or eta == 1:  # without refraction shading normals play no part
         corner_normals = np.repeat(Ng[:, None, :], 3, axis=1)
     else:
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -211,7 +215,7 @@ def _read_body(shape, index, first_record):
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     centre = np.float64(np.float32(0.5 * (low + high)))
     body = Body(
-        name=name, shape=shape, index=index, eta=_eta(shape.bsdf(), name), corners=corners,
+        name=name, shape=shape, index=index, eta=eta, corners=corners, normals=Ng, twin=twin,
         centre=centre.tolist(), first_record=first_record, triangle_count=len(faces),
         box_low=(low - centre).tolist(), box_high=(high - centre).tolist(),
         size=float(np.linalg.norm(high - low)), convex=mesh_facts.is_convex(corners, Ng, topology, twin),

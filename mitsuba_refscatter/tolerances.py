@@ -33,6 +33,9 @@ CHUNK_PAIRS = 1 << 22
 CHUNK_SEGMENTS = 1 << 16
 """Most segments that are traversed in one kernel: keeps kernels well below a second."""
 
+FIRST_CHUNK = 1 << 11
+"""Segments in the first chunk, whose pairs tell how long the next may be."""
+
 PASS_SAMPLES = 1 << 18
 """Most camera samples in one pass of the film."""
 

@@ -1,39 +1,69 @@
-"""Shadow rays of the light path L -> P -> V against the scene: any surface in between is a shadow."""
+"""Visibility along the light path L -> P -> V: any surface in between is a shadow.
+
+Shadow rays against the scene, and what makes most of them unnecessary: triangles proven to be lit
+entirely, and lengths to which beams are proven to be free.
+"""
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from . import tolerances
+from .geometry import silhouette, triangle
 
 
-def tests(scene, body, L):
-    """The visibility tests ``(lit, inside)`` of a body for a light at ``L`` (body coordinates).
+class Shadows:
+    """The shadow tests of one light in one body.
 
-    ``lit(P, Ng, active)``: nothing between the light and P. ``inside(P, Ng, direction, length, active)``:
-    nothing between P and the point at ``length``. A test is None where nothing can be in the way: a convex
-    body does not shadow itself.
+    ``lit(P, Ng, active)``: nothing between the light and P (body coordinates); ``inside(P, Ng, direction,
+    length, active)``: nothing between P and the point at ``length``. A test is None where nothing can be in
+    the way: a convex body does not shadow itself.
     """
-    centre = dr.opaque(mi.Point3f, body.centre)
-    offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * scene.extent)
 
-    def lit(P, Ng, active):
-        start = P + offset * Ng
-        to_light = L - start
+    def __init__(self, scene, body, position, L):
+        self.scene, self.body, self.position, self.L = scene, body, position, L
+        self.centre = dr.opaque(mi.Point3f, body.centre)
+        self.offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * scene.extent)
+        others = scene.others + [other.shape for other in scene.bodies if other is not body]
+        guests = any(_boxes_meet(body.shape.bbox(), shape.bbox()) for shape in others)
+        self.lit = None if body.convex and not others else self._lit
+        self.inside = None if body.convex and not guests else self._inside
+        self.may_prove_inside = self.inside is not None and not guests
+
+    def _lit(self, P, Ng, active):
+        start = P + self.offset * Ng
+        to_light = self.L - start
         distance = dr.norm(to_light)
-        ray = mi.Ray3f(start + centre, to_light / distance, distance * (1 - tolerances.SHADOW_END), 0, [])
-        return ~scene.mi_scene.ray_test(ray, active)
+        return self._free(start, to_light / distance, distance, active)
 
-    def inside(P, Ng, direction, length, active):
-        ray = mi.Ray3f(P - offset * Ng + centre, direction, length * (1 - tolerances.SHADOW_END), 0, [])
-        return ~scene.mi_scene.ray_test(ray, active)
+    def _inside(self, P, Ng, direction, length, active):
+        return self._free(P - self.offset * Ng, direction, length, active)
 
-    alone = len(scene.bodies) == 1 and not scene.others
-    inner = body.convex and not any(_boxes_meet(body.shape.bbox(), shape.bbox()) for shape in _others(scene, body))
-    return None if body.convex and alone else lit, None if inner else inside
+    def _free(self, start, direction, length, active):
+        ray = mi.Ray3f(start + self.centre, direction, length * (1 - tolerances.SHADOW_END), 0, [])
+        return ~self.scene.mi_scene.ray_test(ray, active)
 
+    def seen(self, triangles):
+        """Of the triangles (UInt32, scene's numbering): which to keep (indices), and which of these are
+        proven to be lit everywhere. The others that are proven to be dark everywhere are left out."""
+        if self.lit is None:
+            return dr.arange(mi.UInt32, dr.width(triangles)), dr.full(mi.Bool, True, dr.width(triangles))
+        corners = self.body.corners[triangles.numpy().astype(np.int64) - self.body.first_record]
+        edges = [silhouette.silhouette_edges(b.corners, b.normals, b.twin, self.position) for b in self.scene.bodies]
+        uniform = silhouette.uniform(corners, np.concatenate(edges), self.position)
+        for shape in self.scene.others:
+            uniform &= self._beside(corners, shape.bbox())
+        tri = triangle.gather(self.scene.records, triangles)
+        visible = self.lit(tri.position(1 / 3, 1 / 3), tri.Ng, True)
+        uniform = mi.Bool(uniform)
+        kept = dr.compress(visible | ~uniform)
+        return kept, dr.gather(mi.Bool, uniform, kept)
 
-def _others(scene, body):
-    return scene.others + [other.shape for other in scene.bodies if other is not body]
+    def _beside(self, corners, box):
+        """Triangles whose box with the light does not meet ``box``: nothing in it can shadow them."""
+        low = np.minimum(corners.min(axis=1), self.position)
+        high = np.maximum(corners.max(axis=1), self.position)
+        return (high < np.array(box.min)).any(axis=1) | (low > np.array(box.max)).any(axis=1)
 
 
 def _boxes_meet(a, b):

@@ -72,7 +72,7 @@ def scatter(segments, beams, records, lighting, accuracy, detail=False, progress
     if detail:
         sums.contributions, sums.unresolved, candidates = (dr.zeros(mi.Float, n) for _ in range(3))
     counts = Counts(segments=n)
-    chunk, start = tolerances.CHUNK_SEGMENTS, 0
+    chunk, start = tolerances.FIRST_CHUNK, 0
     while start < n:
         size = min(chunk, n - start)
         lane, leaf, found = _traverse(segments, beams, start, size)
@@ -80,8 +80,9 @@ def scatter(segments, beams, records, lighting, accuracy, detail=False, progress
             if size == 1:
                 raise RuntimeError(f"refscatter: one camera segment meets {found} light beams' leaves, the buffer holds "
                                    f"{tolerances.CHUNK_PAIRS}; raise tolerances.CHUNK_PAIRS")  # fmt: skip
-            chunk = max(1, min(size - 1, int(0.8 * size * tolerances.CHUNK_PAIRS / found)))
+            chunk = max(1, min(size - 1, _fitting(size, found)))
             continue
+        chunk = min(tolerances.CHUNK_SEGMENTS, _fitting(size, found))
         counts.leaves += found
         if found > 0:
             index, beam = light_beams.filter_pairs(beams, segments, lane, leaf, found)
@@ -90,11 +91,15 @@ def scatter(segments, beams, records, lighting, accuracy, detail=False, progress
                 if detail:
                     dr.scatter_add(candidates, mi.Float(1), index)
                 curve.accumulate(sums, index, beam, segments, beams, records, lighting, accuracy)
-                dr.eval(sums.value, sums.contributions, sums.unresolved, candidates)
         start += size
         if progress is not None:
             progress(start, n)
     return sums, candidates, counts
+
+
+def _fitting(size, found):
+    """Segments whose pairs should fill 80 % of the buffer, judged by ``size`` that had ``found``."""
+    return int(0.8 * size * tolerances.CHUNK_PAIRS / max(found, 1)) + 1
 
 
 def _traverse(segments, beams, start, size):

@@ -22,7 +22,7 @@ from .. import optics, tolerances
 from ..geometry import bvh, triangle
 
 BEAM = 24
-"""Numbers per beam: P and omega at 3 corners (18), bend, twist, u0, v0, h, and one to spare."""
+"""Numbers per beam: P and omega at 3 corners (18), bend, twist, u0, v0, h, and the clear length."""
 
 NODE = 24
 """Numbers per node: centre c, omega's middle and half width, m's middle and half width, box (7 x 3), pad."""
@@ -36,11 +36,13 @@ MIDDLES = ((0.5, 0.5), (0.0, 0.5), (0.5, 0.0))
 class Beams:
     """The light beams of one light in one body, and their tree.
 
-    ``records``: flat, ``BEAM`` numbers each. ``triangles``: parent triangle of each beam.
+    ``records``: flat, ``BEAM`` numbers each; ``triangles``: parent triangle of each beam; ``proven_lit``:
+    whether the whole beam is known to see the light.
     """
 
     records: object
     triangles: object
+    proven_lit: object
     count: int
     tree: bvh.Tree
 
@@ -107,47 +109,54 @@ def _levels(tri, light, size, bend):
     return mi.UInt32(dr.clip(level, 0, tolerances.MAX_SUBDIVISION))
 
 
-def build(body, scene_records, L, bend):
-    """Light beams of the point light at ``L`` (body coordinates, Point3f) in ``body``; None if none is lit."""
+def build(body, scene_records, L, bend, seen, clear):
+    """Light beams of the point light at ``L`` (body coordinates, Point3f) in ``body``; None if none is lit.
+
+    ``seen(triangles) -> (kept, proven)``: which triangles the light may reach, as indices into the argument, and
+    for each of these whether all of it is known to be lit. ``clear(P, omega, bend)``: length to which beams
+    with these corners are known to be free, or None where no beam is ever blocked.
+    """
     light = _Light(L, dr.opaque(mi.Float, body.eta))
     every = dr.opaque(mi.UInt32, body.first_record) + dr.arange(mi.UInt32, body.triangle_count)
     lit = dr.compress(_lit(triangle.gather(scene_records, every), L))
+    lit = dr.gather(mi.UInt32, every, lit)
+    if dr.width(lit) > 0:
+        kept, proven = seen(lit)
+        lit = dr.gather(mi.UInt32, lit, kept)
     if dr.width(lit) == 0:
         return None
-    lit = dr.gather(mi.UInt32, every, lit)
     size = dr.opaque(mi.Float, body.size)
-    tri = triangle.gather(scene_records, lit)
-    level = _levels(tri, light, size, dr.opaque(mi.Float, bend))
+    level = _levels(triangle.gather(scene_records, lit), light, size, dr.opaque(mi.Float, bend))
 
-    index, code, level = _expand(lit, level)
+    parent, code, level = _expand(level)
     u0, v0, h = sub_triangle(code, level)
-    tri = triangle.gather(scene_records, index)
-    centre = tri.position(u0 + h / 3, v0 + h / 3)
-    order = bvh.median_order(centre.numpy().T)
-    order = mi.UInt32(order.astype(np.uint32))
-    index, u0, v0, h = (dr.gather(type(x), x, order) for x in (index, u0, v0, h))
+    index = dr.gather(mi.UInt32, lit, parent)
+    proven = dr.gather(mi.Bool, proven, parent)
+    centre = triangle.gather(scene_records, index).position(u0 + h / 3, v0 + h / 3)
+    order = mi.UInt32(bvh.median_order(centre.numpy().T).astype(np.uint32))
+    index, proven, u0, v0, h = (dr.gather(type(x), x, order) for x in (index, proven, u0, v0, h))
 
     count = dr.width(index)
     records = dr.empty(mi.Float, count * BEAM)
     tri = triangle.gather(scene_records, index)
-    numbers = _beam(tri, light, u0, v0, h)
-    triangle.scatter_numbers(records, numbers, dr.arange(mi.UInt32, count))
-    dr.eval(records, index)
-    return Beams(records, index, count, _tree(records, count, body))
+    triangle.scatter_numbers(records, _beam(tri, light, u0, v0, h, clear), dr.arange(mi.UInt32, count))
+    dr.eval(records, index, proven)
+    return Beams(records, index, proven, count, _tree(records, count, body))
 
 
-def _expand(index, level):
-    """One entry per sub-triangle: (triangle, code, level)."""
+def _expand(level):
+    """One entry per sub-triangle: index of its parent in ``level``, code, level."""
     if dr.all(level == 0):
-        return index, dr.zeros(mi.UInt32, dr.width(index)), level
+        parent = dr.arange(mi.UInt32, dr.width(level))
+        return parent, dr.zeros(mi.UInt32, dr.width(level)), level
     counts = 4 ** level.numpy().astype(np.int64)
     parent = np.repeat(np.arange(len(counts)), counts)
     code = np.arange(len(parent)) - np.repeat(np.cumsum(counts) - counts, counts)
     parent = mi.UInt32(parent.astype(np.uint32))
-    return dr.gather(mi.UInt32, index, parent), mi.UInt32(code.astype(np.uint32)), dr.gather(mi.UInt32, level, parent)
+    return parent, mi.UInt32(code.astype(np.uint32)), dr.gather(mi.UInt32, level, parent)
 
 
-def _beam(tri, light, u0, v0, h):
+def _beam(tri, light, u0, v0, h, clear):
     """The numbers of a beam's record.
 
     ``bend`` bounds how far omega is from linear on the beam, in any direction: a quadratic deviates by at
@@ -164,7 +173,8 @@ def _beam(tri, light, u0, v0, h):
     numbers = []
     for p, w in zip(P, omega):
         numbers += [p.x, p.y, p.z, w.x, w.y, w.z]
-    return numbers + [bend, twist, u0, v0, h, mi.Float(0)]
+    free = mi.Float(0) if clear is None else clear(P, omega, bend)
+    return numbers + [bend, twist, u0, v0, h, free]
 
 
 def corners(numbers):
@@ -302,7 +312,7 @@ def node_test(segments):
     o, d, t_max, inverse_d = segments.o, segments.d, segments.t_max, segments.inverse_d
     absolute_d = dr.abs(d)
 
-    def hit(lane, x):
+    def hit(x):
         c, omega, e, m, r, low, high = (mi.Vector3f(x[i : i + 3]) for i in range(0, 21, 3))
         k = dr.cross(c - o, d)
         g = dr.dot(omega, k) - dr.dot(d, m)

@@ -163,34 +163,66 @@ class Sums:
 
 
 def accumulate(sums, index, beam, segments, beams, records, lighting, accuracy):
-    """Adds what the beams ``beam`` bring to the segments ``index`` (UInt32 arrays of pairs) to ``sums``."""
+    """Adds what the beams ``beam`` bring to the segments ``index`` (UInt32 arrays of pairs) to ``sums``.
+
+    First the pairs whose light path is proven to be free, without any shadow ray; then the others.
+    """
+    arguments = (sums, segments, beams, records, lighting, accuracy)
+    if lighting.lit is None and lighting.inside is None:
+        _accumulate(index, beam, *arguments, lambda *_: (True, False))
+        return
+
+    def proof(point, s, tri, clear, proven_lit, active):
+        free = (s < clear if lighting.inside is not None else True) & proven_lit
+        return free, ~free
+
+    def rays(point, s, tri, clear, proven_lit, active):
+        if lighting.inside is not None:
+            free = s < clear
+            active = active & (free | lighting.inside(point.P, tri.Ng, point.omega, s, active & ~free))
+        if lighting.lit is not None:
+            active = active & (proven_lit | lighting.lit(point.P, tri.Ng, active & ~proven_lit))
+        return active, False
+
+    open_pairs = dr.compress(_accumulate(index, beam, *arguments, proof))
+    if dr.width(open_pairs) > 0:
+        _accumulate(*(dr.gather(mi.UInt32, x, open_pairs) for x in (index, beam)), *arguments, rays)
+
+
+def _accumulate(index, beam, sums, segments, beams, records, lighting, accuracy, shadow):
+    """One kernel of ``accumulate``. ``shadow(point, s, tri, clear, proven_lit, active) -> (free, open)``; a pair with
+    a point that is open is left out. Returns which pairs are."""
     segment = segments.gather(index)
     x = triangle.gather_numbers(beams.records, beam, light_beams.BEAM)
     tri = triangle.gather(records, dr.gather(mi.UInt32, beams.triangles, beam))
+    proven_lit = dr.gather(mi.Bool, beams.proven_lit, beam)
     chord = _chord(x, tri, lighting, segment)
     A2 = dr.norm(dr.cross(tri.P_u, tri.P_v))
-    total, resolved, contributes = mi.Spectrum(0), mi.Bool(True), mi.Bool(False)
+    sigma_t = segments.sigma_t_of(index)
+    total, resolved, contributes, is_open = mi.Spectrum(0), mi.Bool(True), mi.Bool(False), mi.Bool(False)
     for tau, weight in zip(*tolerances.gauss(accuracy.points)):
         tau = chord.start + tau * (chord.end - chord.start)
         D = chord.to_E1 + tau * (chord.to_E2 - chord.to_E1)
         point, inverse_slope, solved = _solve(chord, D, tri, lighting, segment, accuracy.newton)
         t, s = _meeting(point.P, point.omega, segment)
         active = chord.active & _valid(point, t, s, tri, segment, lighting)
+        free, undecided = shadow(point, s, tri, x[23], proven_lit, active)
+        is_open |= active & undecided
+        active &= free
         measure = optics.transmission(point.c_L, point.c_V, lighting.eta) * dr.abs(dr.dot(point.omega, tri.Ng))
         value = weight * chord.scale * A2 * measure * inverse_slope / dr.square(point.d_L)
         value *= _phase(lighting, -dr.dot(point.omega, segment.d))
-        if lighting.inside is not None:
-            active &= lighting.inside(point.P, tri.Ng, point.omega, s, active)
-        if lighting.lit is not None:
-            active &= lighting.lit(point.P, tri.Ng, active)
         finite = dr.isfinite(value)
         resolved &= ~active | (solved & finite)
         contributes |= active
-        total += dr.select(active & finite, value * dr.exp(-segments.sigma_t_of(index) * (t + s)), 0)
+        total += dr.select(active & finite, value * dr.exp(-sigma_t * (t + s)), 0)
+    contributes &= ~is_open
     dr.scatter_add(sums.value, total, index, contributes)
     if sums.contributions is not None:
         dr.scatter_add(sums.contributions, mi.Float(1), index, contributes)
-        dr.scatter_add(sums.unresolved, mi.Float(1), index, ~resolved)
+        dr.scatter_add(sums.unresolved, mi.Float(1), index, contributes & ~resolved)
+    dr.eval(is_open, sums.value, sums.contributions, sums.unresolved)
+    return is_open
 
 
 def _solve(chord, D, tri, lighting, segment, newton):

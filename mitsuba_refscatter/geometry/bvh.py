@@ -78,33 +78,47 @@ def fold(leaf_bounds, depth, merge, pack, record):
     return Tree(nodes, record, depth)
 
 
-def traverse(tree, lanes, hit, capacity):
-    """All (lane, leaf) pairs that ``hit`` does not exclude.
+def walk(tree, width, visit, state):
+    """Takes ``width`` lanes through the tree depth first, without a stack.
 
-    ``lanes``: UInt32 indices of the queries; ``hit(lane, numbers of a node) -> Bool``, conservative.
-    Returns ``(lane, leaf, count)``: two UInt32 arrays of ``capacity`` places, and the number of pairs
-    found. Where ``count > capacity`` the rest was counted but not stored: ask again for fewer lanes.
+    ``visit(numbers, leaf, at_leaf, active, state) -> (enter, state)`` gets a node's numbers and, where
+    ``at_leaf``, the leaf's index; it says whether to go on below the node. Returns the final state.
     """
-    out_lane, out_leaf = dr.empty(mi.UInt32, capacity), dr.empty(mi.UInt32, capacity)
-    counter = dr.zeros(mi.UInt32)
     first_leaf = dr.opaque(mi.UInt32, 1 << tree.depth)
-    limit = dr.opaque(mi.UInt32, capacity)
 
-    def step(node, active):
-        inside = active & hit(lanes, gather_numbers(tree.nodes, node, tree.record, active))
-        is_leaf = node >= first_leaf
-        emit = inside & is_leaf
-        slot = dr.scatter_inc(counter, mi.UInt32(0), emit)
-        emit &= slot < limit
-        dr.scatter(out_lane, lanes, slot, emit)
-        dr.scatter(out_leaf, node - first_leaf, slot, emit)
+    def step(node, active, state):
+        at_leaf = node >= first_leaf
+        numbers = gather_numbers(tree.nodes, node, tree.record, active)
+        enter, state = visit(numbers, node - first_leaf, at_leaf, active, state)
         # Next in depth-first order: down to the left child, or on to the nearest unvisited right one.
         right = node + 1
         right >>= dr.tzcnt(right)
-        node = dr.select(inside & ~is_leaf, 2 * node, right)
-        return node, active & (node != 1)
+        node = dr.select(active & enter & ~at_leaf, 2 * node, right)
+        return node, active & (node != 1), state
 
-    node, active = mi.UInt32(1) + dr.zeros(mi.UInt32, dr.width(lanes)), dr.full(mi.Bool, True, dr.width(lanes))
-    dr.while_loop((node, active), lambda node, active: active, step, label="traverse", mode="symbolic")
+    begin = (dr.full(mi.UInt32, 1, width), dr.full(mi.Bool, True, width), state)
+    return dr.while_loop(begin, lambda node, active, state: active, step, label="walk", mode="symbolic")[2]
+
+
+def traverse(tree, lanes, hit, capacity):
+    """All (lane, leaf) pairs that ``hit`` does not exclude.
+
+    ``lanes``: UInt32 indices of the queries; ``hit(numbers of a node) -> Bool``, conservative. Returns
+    ``(lane, leaf, count)``: two UInt32 arrays of ``capacity`` places, and the number of pairs found. Where
+    ``count > capacity`` the rest was counted but not stored: ask again for fewer lanes.
+    """
+    out_lane, out_leaf = dr.empty(mi.UInt32, capacity), dr.empty(mi.UInt32, capacity)
+    counter = dr.zeros(mi.UInt32)
+    limit = dr.opaque(mi.UInt32, capacity)
+
+    def visit(numbers, leaf, at_leaf, active, state):
+        inside = active & hit(numbers)
+        slot = dr.scatter_inc(counter, mi.UInt32(0), inside & at_leaf)
+        store = inside & at_leaf & (slot < limit)
+        dr.scatter(out_lane, lanes, slot, store)
+        dr.scatter(out_leaf, leaf, slot, store)
+        return inside, state
+
+    walk(tree, dr.width(lanes), visit, ())
     dr.eval(out_lane, out_leaf, counter)
     return out_lane, out_leaf, int(counter[0])

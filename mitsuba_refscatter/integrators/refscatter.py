@@ -5,6 +5,7 @@ import mitsuba as mi
 
 from .. import camera, film, lanes, options, platform, tolerances, visibility, wavefront
 from ..culling import beams as light_beams
+from ..culling import clearance
 from ..estimators import curve
 from ..scene import read
 from ..wavefront import Segments
@@ -105,15 +106,23 @@ class Prepared:
         self.scene = read(scene)
         self.accuracy = tolerances.accuracy(opt.tolerance)
         self.counts = wavefront.Counts()
-        self._beams = {}
+        self._surfaces, self._beams = {}, {}
 
     def beams(self, body, light):
-        """Position of the light in body coordinates, and its beams in the body (made at first use)."""
+        """``(lighting, beams)`` of a light in a body, made at first use; beams are None if none is lit."""
         key = (body.index, light.index)
         if key not in self._beams:
             L = dr.opaque(mi.Point3f, [float(x) for x in light.position - body.centre])
-            self._beams[key] = (L, light_beams.build(body, self.scene.records, L, self.accuracy.bend))
+            shadows = visibility.Shadows(self.scene, body, light.position, L)
+            lighting = curve.Lighting(L, dr.opaque(mi.Float, body.eta), body.eta < 1, body.g, shadows.lit, shadows.inside)
+            clear = self._surface(body).clear if shadows.may_prove_inside else None
+            self._beams[key] = (lighting, light_beams.build(body, self.scene.records, L, self.accuracy.bend, shadows.seen, clear))
         return self._beams[key]
+
+    def _surface(self, body):
+        if body.index not in self._surfaces:
+            self._surfaces[body.index] = clearance.Surface(self.scene.records, body.first_record, body.corners - body.centre)
+        return self._surfaces[body.index]
 
 
 class Single:
@@ -130,15 +139,13 @@ def scatter(prepared, paths, ray, n, detail, progress):
     scene, single = prepared.scene, Single(n, detail)
     work = [(body, light) for body in scene.bodies for light in scene.lights if paths.segments[body.index]]
     for i, (body, light) in enumerate(work):
-        L, beams = prepared.beams(body, light)
+        lighting, beams = prepared.beams(body, light)
         if beams is None:
             continue
         o, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[body.index]))
         wavelengths = dr.gather(type(ray.wavelengths), ray.wavelengths, sample) if mi.is_spectral else ray.wavelengths
         sigma_s, sigma_t = body.coefficients(wavelengths)
         segments = Segments(o - mi.Point3f(dr.opaque(mi.Point3f, body.centre)), d, t_max, sigma_t)
-        lit, inside = visibility.tests(scene, body, L)
-        lighting = curve.Lighting(L, dr.opaque(mi.Float, body.eta), body.eta < 1, body.g, lit, inside)
         report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
         sums, candidates, counts = wavefront.scatter(segments, beams, scene.records, lighting, prepared.accuracy, detail, report)
         prepared.counts.add(counts)

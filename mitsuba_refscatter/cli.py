@@ -1,0 +1,246 @@
+"""The command ``refscatter``: render, check, scenes.
+
+Errors are one sentence on stderr and exit code 1 (usage: 2, Ctrl-C: 130).
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import time
+from pathlib import Path
+from typing import List, Optional  # noqa: UP035 - typer reads these on Python 3.9
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from . import meshcheck, output, platform
+from . import scenes as scene_files
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Volume caustics without noise, for Mitsuba 3.",
+)
+out = Console(highlight=False, soft_wrap=True)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+_OURS = "RefscatterIntegrator["
+_WRAPPERS = ("AOVIntegrator", "MomentIntegrator")
+
+
+class Failure(Exception):
+    """An error that is told to the user in one sentence."""
+
+
+_EXPECTED = (
+    Failure,
+    platform.PlatformError,
+    output.OutputError,
+    meshcheck.MeshError,
+    scene_files.BodyError,
+)
+
+
+def _plainly(command):
+    """Let a command end with one sentence and an exit code instead of a traceback."""
+
+    @functools.wraps(command)
+    def wrapped(*args, **kwargs):
+        try:
+            return command(*args, **kwargs)
+        except KeyboardInterrupt:
+            err.print("refscatter: stopped; nothing was written")
+            raise typer.Exit(130) from None
+        except _EXPECTED as error:
+            err.print(f"refscatter: {error}", markup=False)
+            raise typer.Exit(1) from None
+
+    return wrapped
+
+
+def _cause(error: BaseException) -> str:
+    """Mitsuba's message on one line, without source positions and the traceback of a Python plugin."""
+    text = str(error)
+    before, traceback, after = text.partition("Traceback (most recent call last):")
+    if traceback:
+        last = after.rpartition("Traceback (most recent call last):")[2]
+        told = [line for line in last.splitlines() if line and not line.startswith(" ")]
+        text = before + re.sub(r"^[\w.]+: ", "", " ".join(told))
+    text = re.sub(r"\[[\w.]+\.(?:cpp|h):\d+\]\s*", "", text)
+    text = re.sub(r"\s*\n\s*(?:- )?", " ", text).strip()
+    return text or type(error).__name__
+
+
+def _defines(pairs: list[str]) -> dict[str, str]:
+    values = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not name or not equals:
+            raise typer.BadParameter(f"'{pair}' is not of the form name=value", param_hint="-D")
+        values[name] = value
+    return values
+
+
+def _load(scene: Path, defines: dict[str, str]):
+    """Load a scene file; ``Failure`` says why it can't be."""
+    import mitsuba as mi
+
+    if not scene.is_file():
+        raise Failure(f"there is no scene file {scene}")
+    meshcheck.check_scene(scene, defines)
+    try:
+        # Merged shapes lose the names that error messages need.
+        loaded = mi.load_file(str(scene), optimize=False, **defines)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise Failure(_cause(error)) from error
+    if not isinstance(loaded, mi.Scene):
+        raise Failure(f"{scene} does not hold a scene")
+    if not loaded.sensors():
+        raise Failure(f"{scene} has no sensor: add one")
+    return loaded
+
+
+def _is_ours(integrator) -> bool:
+    """Whether a plugin of this package renders, by itself or as the child of ``aov`` or ``moment``."""
+    if type(integrator).__module__.startswith("mitsuba_refscatter."):
+        return True
+    return integrator is not None and integrator.class_name() in _WRAPPERS and _OURS in str(integrator)
+
+
+def _integrator(scene, say):
+    """The scene's integrator if it is one of ours, otherwise a new ``refscatter``."""
+    import mitsuba as mi
+
+    found = scene.integrator()
+    if _is_ours(found):
+        return found
+    name = "no integrator" if found is None else f"the integrator {found.class_name()}"
+    say(f"The scene has {name}: rendering with refscatter instead.")
+    return mi.load_dict({"type": "refscatter"})
+
+
+def _progress(quiet: bool) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=err,
+        disable=quiet or not err.is_terminal,
+        transient=True,
+    )
+
+
+def _render(scene, integrator, spp: int, quiet: bool):
+    """Render and return the film's bitmap, all channels."""
+    sensor = scene.sensors()[0]
+    with _progress(quiet) as bar:
+        task = bar.add_task("rendering", total=None if not hasattr(integrator, "progress") else 1.0)
+        if hasattr(integrator, "progress"):
+            integrator.progress = lambda fraction: bar.update(task, completed=fraction)
+        # Not mi.render: it hides what an integrator raises, Ctrl-C included, behind its own error.
+        integrator.render(scene, sensor=sensor, seed=0, spp=spp, develop=False)
+        return sensor.film().bitmap()
+
+
+@app.command()
+@_plainly
+def render(
+    scene: Path = typer.Argument(..., metavar="SCENE", help="Scene file in Mitsuba's XML."),
+    file: Optional[Path] = typer.Option(
+        None, "-o", "--output", help="EXR file to write, a PNG goes beside it. [default: SCENE's name, here]"
+    ),
+    variant: Optional[str] = typer.Option(
+        None, "-m", "--mode", help="Mitsuba variant. [default: the first usable of cuda_ad_rgb, llvm_ad_rgb]"
+    ),
+    spp: int = typer.Option(0, "-s", "--spp", min=0, help="Samples per pixel; 0 leaves it to the scene."),
+    define: List[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),  # noqa: UP006
+    quiet: bool = typer.Option(False, "--quiet", help="Print errors only."),
+):
+    """Render a scene file to an EXR and a tone-mapped PNG.
+
+    The scene's own integrator is used if it is refscatter, otherwise refscatter takes its place.
+    """
+    values = _defines(define)
+    # Before Mitsuba touches LLVM: an unsuitable one can end the process.
+    variant = variant or platform.default_variant()
+    platform.require_usable(variant)
+    path = output.target(file if file is not None else Path(scene.stem + ".exr"))
+    import mitsuba as mi
+
+    mi.set_variant(variant)
+    if quiet:
+        mi.set_log_level(mi.LogLevel.Error)
+    import mitsuba_refscatter  # noqa: F401 - registers the plugins
+
+    say = (lambda text: None) if quiet else (lambda text: err.print(text, markup=False))
+    start = time.perf_counter()
+    loaded = _load(scene, values)
+    integrator = _integrator(loaded, say)
+    say(f"Rendering {scene} in {variant} ...")
+    try:
+        bitmap = _render(loaded, integrator, spp, quiet)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise Failure(_cause(error)) from error
+    written = output.write_image(path, bitmap)
+    if not quiet:
+        err.print(f"Done in {time.perf_counter() - start:.1f} s:")
+        for name in written:
+            if name is not None:
+                out.print(str(name), markup=False)
+
+
+@app.command()
+@_plainly
+def check():
+    """Say what is installed, what is usable and what to do about what isn't."""
+    report = platform.report()
+    table = Table.grid(padding=(0, 2))
+    table.add_row("Mitsuba", report.mitsuba)
+    table.add_row("Dr.Jit", report.drjit)
+    table.add_row("LLVM", report.llvm.text + (f"  ({report.llvm.path})" if report.llvm.path else ""))
+    table.add_row("GPU", "usable" if report.gpu_problem is None else "none")
+    out.print(table)
+    usable = [name for name, problem in report.variants.items() if problem is None]
+    out.print(f"\nUsable variants: {', '.join(usable) or 'none'}")
+    for problem in dict.fromkeys(problem for problem in report.variants.values() if problem is not None):
+        names = ", ".join(name for name, p in report.variants.items() if p == problem)
+        out.print(f"Not usable: {names}\n  {problem}", markup=False)
+    if report.default is None:
+        raise Failure(f"nothing can be rendered on this machine: {report.problem}")
+    out.print(f"Renders use {report.default} unless told otherwise.")
+
+
+@app.command()
+@_plainly
+def scenes(
+    name: Optional[str] = typer.Argument(None, metavar="[NAME]", help="Scene to write; none lists them."),
+    triangles: Optional[int] = typer.Option(
+        None, "--triangles", min=1, help="Triangles of the body; the nearest possible number is taken."
+    ),
+    directory: Optional[Path] = typer.Option(
+        None, "-o", "--output", help="Directory for scene.xml and meshes/. [default: NAME, here]"
+    ),
+):
+    """List the scenes made by code, or write one as XML and mesh."""
+    if name is None:
+        for key, scene in scene_files.SCENES.items():
+            out.print(f"{key:13} {scene.triangles:6} triangles  {' '.join(scene.comment.split())}", markup=False)
+        return
+    directory = Path(name) if directory is None else directory
+    try:
+        path, count = scene_files.write_scene(name, directory, triangles)
+    except OSError as error:
+        raise Failure(f"nothing can be written in {directory}: {error.strerror}") from error
+    out.print(f"{path}  ({count} triangles)", markup=False)
+
+
+def main() -> None:
+    """Run the command and leave the process with its exit code."""
+    app(prog_name="refscatter")

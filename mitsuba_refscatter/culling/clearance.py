@@ -1,0 +1,103 @@
+"""How far a light beam is certainly free inside its body, so that no shadow ray is needed up to there.
+
+Light that entered a closed body can only be stopped by a triangle that it would leave through, that is one
+with omega . Ng > 0; the triangles around the point of entry are not of that kind. A tree over the body's
+triangles with bounding spheres and boxes of normals gives, per beam, the smallest distance at which it
+can touch such a triangle.
+"""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..geometry import bvh, triangle
+
+NODE = 12
+"""Numbers per node: centre and radius of a sphere, middle and half width of the normals' box, 2 pad."""
+
+
+class Surface:
+    """The tree over the triangles of a body; independent of the light."""
+
+    def __init__(self, records, first_record, corners):
+        order = bvh.median_order(corners.mean(axis=1)) + first_record
+        self.records, self.count = records, len(order)
+        self.order = mi.UInt32(order.astype(np.uint32))
+        depth = bvh.depth_for(self.count)
+        self.tree = bvh.fold(self._leaves(depth), depth, _merge, _pack, NODE)
+
+    def _member(self, leaf, j, active=True):
+        place = dr.minimum(leaf * bvh.LEAF + j, dr.opaque(mi.UInt32, self.count - 1))
+        return triangle.gather(self.records, dr.gather(mi.UInt32, self.order, place, active), active)
+
+    def _leaves(self, depth):
+        """Bounds (box and normals) of the leaves; places behind the end repeat the last triangle."""
+        leaf = dr.arange(mi.UInt32, 1 << depth)
+        bounds = None
+        for j in range(bvh.LEAF):
+            tri = self._member(leaf, j)
+            a, b, c = tri.P0, tri.P0 + tri.P_u, tri.P0 + tri.P_v
+            low, high = dr.minimum(a, dr.minimum(b, c)), dr.maximum(a, dr.maximum(b, c))
+            item = (low, high, tri.Ng, tri.Ng)
+            bounds = item if bounds is None else _merge(bounds, item)
+        return tuple(bounds)
+
+    def clear(self, P, omega, bend):
+        """Length to which beams with corners ``P``, ``omega`` (lists of three Vector3f) are free.
+
+        ``bend``: bound of the deviation of omega from linear in between.
+        """
+        axis_P, axis = (P[0] + P[1] + P[2]) / 3, dr.normalize(omega[0] + omega[1] + omega[2])
+        start = dr.maximum(dr.norm(P[0] - axis_P), dr.maximum(dr.norm(P[1] - axis_P), dr.norm(P[2] - axis_P)))
+        spread = dr.maximum(dr.norm(omega[0] - axis), dr.maximum(dr.norm(omega[1] - axis), dr.norm(omega[2] - axis))) + bend
+        wide = spread > 0.5
+
+        def visit(x, leaf, at_leaf, active, best):
+            near, touched = _first_touch(mi.Vector3f(x[0:3]) - axis_P, x[3], axis, start, spread)
+            out = dr.dot(axis, mi.Vector3f(x[4:7])) + dr.dot(dr.abs(axis), mi.Vector3f(x[7:10])) + spread > 0
+            enter = active & touched & out & (near < best)
+            here = enter & at_leaf
+            for j in range(bvh.LEAF):
+                best = dr.minimum(best, self._touch(leaf, j, here, P, omega, bend, axis_P, axis, start, spread))
+            return enter, best
+
+        width = dr.width(P[0].x)
+        best = bvh.walk(self.tree, width, visit, dr.full(mi.Float, 1e30, width))
+        return dr.select(wide, 0, best)
+
+    def _touch(self, leaf, j, active, P, omega, bend, axis_P, axis, start, spread):
+        """Smallest distance at which the beams can leave through the j-th triangle of a leaf, or 1e30."""
+        tri = self._member(leaf, j, active)
+        middle = tri.P0 + (tri.P_u + tri.P_v) / 3
+        to = [tri.P0 - middle, tri.P0 + tri.P_u - middle, tri.P0 + tri.P_v - middle]
+        radius = dr.maximum(dr.norm(to[0]), dr.maximum(dr.norm(to[1]), dr.norm(to[2])))
+        near, touched = _first_touch(middle - axis_P, radius, axis, start, spread)
+        # Where the linear beam meets the plane: a ratio of linear functions, smallest at a corner.
+        cosines = [dr.dot(w, tri.Ng) for w in omega]
+        steepest, flattest = dr.maximum(dr.maximum(*cosines[:2]), cosines[2]), dr.minimum(dr.minimum(*cosines[:2]), cosines[2])
+        plane = mi.Float(1e30)
+        for p, c in zip(P, cosines):
+            plane = dr.minimum(plane, dr.dot(tri.P0 - p, tri.Ng) / dr.maximum(c, 1e-6))
+        plane *= 0.999 - dr.minimum(bend / dr.maximum(flattest, 1e-6), 0.999)
+        near = dr.select(flattest > 2 * bend + 1e-3, dr.maximum(near, plane), near)
+        return dr.select(active & touched & (steepest + bend > 0), near, 1e30)
+
+
+def _first_touch(to_centre, radius, axis, start, spread):
+    """Where a cone around a ray (radius start + spread s) can first touch a sphere, and whether it does."""
+    along = dr.dot(to_centre, axis)
+    last = (along + radius + start) / dr.maximum(1 - spread, 0.5)
+    reach = radius + start + spread * dr.maximum(last, 0)
+    across2 = dr.squared_norm(to_centre) - dr.square(along)
+    room = dr.square(reach) - across2
+    return dr.maximum(along - dr.safe_sqrt(room), 0), (room >= 0) & (last >= 0)
+
+
+def _merge(a, b):
+    return tuple(dr.minimum(x, y) if i % 2 == 0 else dr.maximum(x, y) for i, (x, y) in enumerate(zip(a, b)))
+
+
+def _pack(bounds):
+    low, high, n_low, n_high = bounds
+    c, n, h = 0.5 * (low + high), 0.5 * (n_low + n_high), 0.5 * (n_high - n_low)
+    return [c.x, c.y, c.z, 0.5 * dr.norm(high - low), n.x, n.y, n.z, h.x, h.y, h.z, mi.Float(0), mi.Float(0)]

@@ -1,0 +1,95 @@
+"""Which triangles are lit uniformly: no silhouette seen from the light lies in front of them.
+
+Along a triangle the number of surfaces between it and a light changes only where the line of sight
+passes a silhouette edge (between a facet that faces the light and one that does not). Triangles with no
+silhouette edge in front of them in the light's view are therefore all lit or all in shadow. Holds for closed
+meshes that do not cut through each other or themselves. NumPy float64.
+"""
+
+import numpy as np
+
+WIDEST = 0.5
+"""Smallest cosine to the view's axis for which the light's view is used: a field of 120 degrees."""
+
+MOST_STEPS = 4_000_000
+"""Points at which edges are put on the raster, at most: bounds time and memory."""
+
+
+def silhouette_edges(corners, normals, twin, light):
+    """Edges (E, 2, 3) between facets that face the light and facets that do not."""
+    facing = np.einsum("fi,fi->f", normals, light - corners[:, 0]) > 0
+    first = np.flatnonzero((facing[np.arange(len(twin)) // 3] != facing[twin // 3]) & (np.arange(len(twin)) < twin))
+    return np.stack([corners.reshape(-1, 3)[first], np.roll(corners, -1, axis=1).reshape(-1, 3)[first]], axis=1)
+
+
+def uniform(corners, edges, light):
+    """For each triangle of ``corners`` (F, 3, 3): True if none of ``edges`` (E, 2, 3) is in front of it as seen
+    from ``light``. Conservative on a raster of the light's view; False throughout where the view is too wide
+    or the edges too long for it."""
+    view, none = _view(corners, light), np.zeros(len(corners), dtype=bool)
+    if view is None:
+        return none
+    edge_points, edge_depth = _project(edges.reshape(-1, 3) - light, view)
+    if (edge_depth <= 0).any():  # an edge beside or behind the light may cross the view anywhere
+        return none
+    points, depth = _project(corners.reshape(-1, 3) - light, view)
+    points = points.reshape(-1, 3, 2)
+    low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
+    levels = int(np.clip(np.ceil(np.log2(8 * np.sqrt(len(corners)))), 6, 11))
+    scale = ((1 << levels) - 4) / np.maximum(high - low, 1e-30)
+    nearest = _raster((edge_points.reshape(-1, 2, 2) - low) * scale + 2, edge_depth.reshape(-1, 2).min(axis=1), 1 << levels)
+    if nearest is None:
+        return none
+    first = np.floor((points.min(axis=1) - low) * scale).astype(int) + 1
+    last = np.floor((points.max(axis=1) - low) * scale).astype(int) + 3
+    return _least(nearest, first, last) > depth.reshape(-1, 3).max(axis=1)
+
+
+def _view(corners, light):
+    """Axes (3, 3) of the light's view, the last towards the triangles; None where they fill too wide a field."""
+    to = corners.reshape(-1, 3) - light
+    to /= np.linalg.norm(to, axis=1, keepdims=True)
+    axis = to.mean(axis=0)
+    length = np.linalg.norm(axis)
+    if length < WIDEST or (to @ (axis / length)).min() < WIDEST:
+        return None
+    axis /= length
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    side /= np.linalg.norm(side)
+    return np.stack([side, np.cross(axis, side), axis])
+
+
+def _project(to, view):
+    """Perspective projection (n, 2) and depth along the axis (n,)."""
+    x = to @ view.T
+    return x[:, :2] / np.where(x[:, 2] > 0, x[:, 2], 1)[:, None], x[:, 2]
+
+
+def _raster(edges, depth, cells):
+    """Smallest depth of the edges (E, 2, 2; in cell units) that pass each cell, infinite where none does; None
+    if that takes too many steps. Exact to one cell."""
+    steps = np.ceil(2 * np.abs(edges[:, 1] - edges[:, 0]).max(axis=1, initial=0)) + 2
+    if steps.sum() > MOST_STEPS:
+        return None
+    steps = steps.astype(int)
+    edge = np.repeat(np.arange(len(edges)), steps)
+    k = (np.arange(len(edge)) - np.repeat(np.cumsum(steps) - steps, steps)) / np.repeat(steps - 1, steps)
+    cell = np.floor(edges[edge, 0] + k[:, None] * (edges[edge, 1] - edges[edge, 0])).astype(int)
+    inside = ((cell >= 0) & (cell < cells)).all(axis=1)
+    nearest = np.full((cells, cells), np.inf, dtype=np.float32)
+    # float32 may round up: a little nearer is safe.
+    np.minimum.at(nearest, tuple(cell[inside].T), (depth[edge[inside]] * (1 - 1e-6)).astype(np.float32))
+    return nearest
+
+
+def _least(raster, first, last):
+    """At most the smallest value in each rectangle of cells, corners ``first`` to ``last`` (n, 2) inclusive."""
+    level = np.ceil(np.log2((last - first + 1).max(axis=1))).astype(int)
+    out = np.empty(len(first), dtype=raster.dtype)
+    for k in range(level.max(initial=0) + 1):
+        at = level == k
+        (i0, j0), (i1, j1) = (np.minimum(x[at] >> k, len(raster) - 1).T for x in (first, last))
+        out[at] = np.minimum(np.minimum(raster[i0, j0], raster[i1, j0]), np.minimum(raster[i0, j1], raster[i1, j1]))
+        if len(raster) > 1:
+            raster = raster.reshape(len(raster) // 2, 2, len(raster) // 2, 2).min(axis=(1, 3))
+    return out

@@ -1,0 +1,105 @@
+"""Pictures on disk: an EXR with every channel and a tone-mapped PNG, each written beside and renamed."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Optional
+
+import numpy as np
+
+PNG_PERCENTILE = 97.0  # of the luminance of lit pixels; caustics and highlights lie above
+PNG_LEVEL = 0.8  # linear value that this percentile is shown at
+
+
+class OutputError(RuntimeError):
+    """A picture that cannot be written, and why."""
+
+
+def target(path) -> Path:
+    """Return the EXR path meant by ``path``, once it is certain that a file can be made there.
+
+    A name without an ending gets ``.exr``. Raises ``OutputError`` in one sentence.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise OutputError(f"{path} is a directory: give the name of a file in it")
+    if not path.suffix:
+        path = path.with_name(path.name + ".exr")
+    if path.suffix.lower() != ".exr":
+        raise OutputError(f"{path} does not end in .exr: the picture is written as OpenEXR, and as PNG beside it")
+    probe = _beside(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(f"nothing can be written in {path.parent}: {error.strerror}") from None
+    return path
+
+
+def _beside(path: Path) -> Path:
+    """Return a name for an unfinished file: hidden, same directory (so that renaming is atomic), same ending."""
+    return path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+
+
+def _write(bitmap, path: Path) -> None:
+    unfinished = _beside(path)
+    try:
+        bitmap.write(str(unfinished))
+        os.replace(unfinished, path)
+    except (OSError, RuntimeError) as error:
+        raise OutputError(f"{path} cannot be written: {error}") from None
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def exposure(rgb: np.ndarray) -> float:
+    """Return the factor that shows the 97th percentile of the luminance of lit pixels at 0.8.
+
+    Black and non-finite pixels have no say; an image without light gets 1.
+    """
+    luminance = rgb @ np.array([0.2126, 0.7152, 0.0722])
+    lit = luminance[np.isfinite(luminance) & (luminance > 0.0)]
+    return float(PNG_LEVEL / np.percentile(lit, PNG_PERCENTILE)) if lit.size else 1.0
+
+
+def tone_map(rgb: np.ndarray) -> np.ndarray:
+    """Return 8-bit sRGB: the linear image times ``exposure``, clipped, then the sRGB curve. Non-finite is black."""
+    rgb = np.asarray(rgb, dtype=np.float64)
+    linear = np.clip(np.nan_to_num(rgb * exposure(rgb), nan=0.0, posinf=0.0, neginf=0.0), 0.0, 1.0)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
+    return np.round(255.0 * encoded).astype(np.uint8)
+
+
+def _rgb(bitmap) -> Optional[np.ndarray]:
+    """The main image of a bitmap as linear RGB, or None if it has none (a film of raw spectral channels)."""
+    import mitsuba as mi
+
+    images = dict(bitmap.split())
+    main = images.get("<root>", bitmap)
+    if main.pixel_format() == mi.Bitmap.PixelFormat.MultiChannel:
+        return None
+    return np.array(main.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False))
+
+
+def write_image(path, image) -> tuple[Path, Optional[Path]]:
+    """Write ``image`` to ``path`` (EXR, all channels with their names) and a PNG beside it.
+
+    ``image`` is a ``mi.Bitmap`` (``film.bitmap()``) or an array (height, width, 1 to 4). Both
+    files are written under hidden names and renamed at the end, so that a failure leaves
+    earlier pictures as they were. The PNG shows the 97th percentile of the luminance of lit
+    pixels at 0.8, in sRGB; there is none (None) if the image has no RGB or grey channels.
+    Returns the two paths.
+    """
+    import mitsuba as mi
+
+    path = target(path)
+    bitmap = image if isinstance(image, mi.Bitmap) else mi.Bitmap(np.asarray(image, dtype=np.float32))
+    rgb = _rgb(bitmap)
+    _write(bitmap, path)
+    if rgb is None:
+        return path, None
+    png = path.with_suffix(".png")
+    _write(mi.Bitmap(tone_map(rgb)), png)
+    return path, png
