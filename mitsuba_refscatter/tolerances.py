@@ -25,7 +25,11 @@ OVERSHOOT = 2.0
 """Largest lambda taken for a root on the ray through the chord; beyond, the linear beam is used."""
 
 MAX_SUBDIVISION = 5
-"""Most levels (each cuts a triangle in 4) by which a strongly bent beam is refined."""
+"""Most levels (each cuts a triangle in 4) by which a strongly bent beam is refined, for all segments; and again for
+the segments along which g is far from linear on it."""
+
+PIECES = 1 << 21
+"""Most parts of beams that are looked at in one kernel."""
 
 CHUNK_PAIRS = 1 << 22
 """Places of the (segment, leaf) buffer: 32 MiB; with what the filter makes of it about 0.5 GiB."""
@@ -44,6 +48,8 @@ PASS_SAMPLES = 1 << 18
 class Accuracy:
     """What the one knob ``tolerance`` selects.
 
+    ``linear``: largest deviation of g from linear, relative to its range, on a beam that is solved whole; for a
+    camera segment that needs it a beam is subdivided.
     ``bend``: largest deviation of a light beam from a linear one, relative to its width; beams that are
     bent more are subdivided. ``points``: Gauss points along the curve in one beam. ``newton``: Newton
     steps per point. ``weight``: camera legs with a smaller weight are dropped.
@@ -53,17 +59,18 @@ class Accuracy:
     points: int
     newton: int
     weight: float
+    linear: float
 
 
 def accuracy(tolerance):
     """The counts that are safe for a relative error ``tolerance`` of the image (0: exact to float32)."""
     if tolerance >= 0.1:
-        return Accuracy(bend=0.5, points=1, newton=1, weight=1e-2 * tolerance)
+        return Accuracy(bend=0.5, points=1, newton=1, weight=1e-2 * tolerance, linear=0.5)
     if tolerance >= 0.01:
-        return Accuracy(bend=0.1, points=1, newton=1, weight=1e-2 * tolerance)
+        return Accuracy(bend=0.1, points=1, newton=1, weight=1e-2 * tolerance, linear=0.25)
     if tolerance >= 0.001:
-        return Accuracy(bend=0.05, points=2, newton=2, weight=1e-2 * tolerance)
-    return Accuracy(bend=0.02, points=4, newton=3, weight=1e-2 * tolerance)
+        return Accuracy(bend=0.05, points=2, newton=2, weight=1e-2 * tolerance, linear=0.1)
+    return Accuracy(bend=0.02, points=4, newton=3, weight=1e-2 * tolerance, linear=0.05)
 
 
 def gauss(points):

@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 import drjit as dr
 import mitsuba as mi
 
-from . import tolerances
+from . import lanes, tolerances
+from .culling import beam_tree
 from .culling import beams as light_beams
+from .culling.beams import Pairs
 from .estimators import curve
-from .geometry import bvh
+from .geometry import bvh, triangle
 
 
 @dataclass
@@ -85,16 +87,64 @@ def scatter(segments, beams, records, lighting, accuracy, detail=False, progress
         chunk = min(tolerances.CHUNK_SEGMENTS, _fitting(size, found))
         counts.leaves += found
         if found > 0:
-            index, beam = light_beams.filter_pairs(beams, segments, lane, leaf, found)
-            counts.candidates += dr.width(index)
-            if dr.width(index) > 0:
-                if detail:
-                    dr.scatter_add(candidates, mi.Float(1), index)
-                curve.accumulate(sums, index, beam, segments, beams, records, lighting, accuracy)
+            zeros = light_beams.candidates(beams, segments, lane, leaf, found)
+            bent = zeros.nonlinearity > dr.opaque(mi.Float, accuracy.linear)
+            whole, parts = zeros.bracketed & ~bent, zeros.possible & bent
+            if detail:
+                of = light_beams.pairs_at(lane, leaf, dr.arange(mi.UInt32, found * bvh.LEAF)).segment
+                dr.scatter_add(candidates, mi.Float(1), of, zeros.possible)
+            dr.eval(zeros.possible, whole, parts, candidates)
+            counts.candidates += int(dr.count(zeros.possible)[0])
+            solve = lambda pairs: curve.accumulate(sums, pairs, segments, beams, records, lighting, accuracy)
+            _each(whole, lane, leaf, solve)
+            _each(parts, lane, leaf, lambda pairs: _refine(pairs, segments, beams, records, lighting, accuracy, solve))
         start += size
         if progress is not None:
             progress(start, n)
     return sums, candidates, counts
+
+
+def _each(mask, lane, leaf, work):
+    """Calls ``work`` with the pairs in ``mask``, if there are any."""
+    index = dr.compress(mask)
+    if dr.width(index) > 0:
+        work(light_beams.pairs_at(lane, leaf, index))
+
+
+def _refine(pairs, segments, beams, records, lighting, accuracy, solve):
+    """Cuts beams on which g is far from linear along the segment until it isn't, and solves the parts."""
+    zero = dr.zeros(mi.UInt32, len(pairs))
+    open_parts, done = [Pairs(pairs.segment, pairs.beam, zero, zero)], []
+    while open_parts:
+        part = open_parts.pop()
+        n = len(part)
+        if n > tolerances.PIECES // 4:
+            half = dr.arange(mi.UInt32, n // 2)
+            open_parts += [part.gather(half), part.gather(n // 2 + dr.arange(mi.UInt32, n - n // 2))]
+            continue
+        bracketed, bent = _quarter(part, segments, beams, records, lighting, accuracy)
+        if bent is not None:
+            open_parts.append(bent)
+        if bracketed is not None:
+            done.append(bracketed)
+        if sum(map(len, done)) > tolerances.PIECES or (done and not open_parts):
+            solve(Pairs(*(lanes.concat(x) for x in zip(*(vars(p).values() for p in done)))))
+            done = []
+
+
+def _quarter(part, segments, beams, records, lighting, accuracy):
+    """The four parts of each part: ``(solvable, bent)``, None where there are none."""
+    i = dr.arange(mi.UInt32, 4 * len(part))
+    quarters = part.gather(i // 4)
+    quarters.code |= (i & 3) << (2 * quarters.level)
+    quarters.level += 1
+    tri = triangle.gather(records, dr.gather(mi.UInt32, beams.triangles, quarters.beam))
+    zeros = curve.zeros(quarters, segments, beams, tri, lighting)
+    bent = (zeros.nonlinearity > dr.opaque(mi.Float, accuracy.linear)) & (quarters.level < tolerances.MAX_SUBDIVISION)
+    solvable, go_on = zeros.bracketed & ~bent, zeros.possible & bent
+    dr.eval(quarters.code, quarters.level, quarters.segment, quarters.beam, solvable, go_on)
+    index = [dr.compress(mask) for mask in (solvable, go_on)]
+    return tuple(quarters.gather(x) if dr.width(x) > 0 else None for x in index)
 
 
 def _fitting(size, found):
@@ -104,5 +154,5 @@ def _fitting(size, found):
 
 def _traverse(segments, beams, start, size):
     lanes = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, size)
-    hit = light_beams.node_test(segments.gather(lanes))
+    hit = beam_tree.node_test(segments.gather(lanes))
     return bvh.traverse(beams.tree, lanes, hit, tolerances.CHUNK_PAIRS)

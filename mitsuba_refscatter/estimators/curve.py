@@ -24,7 +24,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import optics, tolerances
-from ..culling import beams as light_beams
+from ..culling import beam as light_beam
 from ..geometry import triangle
 
 
@@ -100,10 +100,19 @@ class _Chord:
     active: object
 
 
-def _chord(x, tri, lighting, segment):
+def _piece(x, pairs, tri, lighting):
+    """Corners and place ``(P, omega, u0, v0, h)`` of the beams, or of the parts of them that are meant."""
+    u0, v0, h = x[20:23]
+    if pairs.code is None:
+        return *light_beam.corners(x), u0, v0, h
+    u, v, size = light_beam.sub_triangle(pairs.code, pairs.level)
+    u0, v0, h = u0 + h * u, v0 + h * v, h * size
+    corners = [light_beam.refracted(tri, u0 + h * u, v0 + h * v, lighting.L, lighting.eta) for u, v in light_beam.CORNERS]
+    return *zip(*corners), u0, v0, h
+
+
+def _chord(P, omega, u0, v0, h, tri, lighting, segment):
     """Finds the chord and clips it to where light and segment are: t, s, c_L and the facet's sides."""
-    P, omega = light_beams.corners(x)
-    u0, v0, h = x[20], x[21], x[22]
     g = [dr.dot(w, dr.cross(p - segment.o, segment.d)) for p, w in zip(P, omega)]
     up = [value >= 0 for value in g]
     lone_1, lone_2 = (up[0] == up[2]) & (up[1] != up[0]), (up[0] == up[1]) & (up[2] != up[0])
@@ -118,7 +127,7 @@ def _chord(x, tri, lighting, segment):
     g_A, g_B, g_C = turn(g)
     r1 = g_A / dr.select(active, g_A - g_B, 1)
     r2 = g_A / dr.select(active, g_A - g_C, 1)
-    uv = turn([mi.Vector2f(u0 + h * u, v0 + h * v) for u, v in light_beams.CORNERS])
+    uv = turn([mi.Vector2f(u0 + h * u, v0 + h * v) for u, v in light_beam.CORNERS])
     start, end = mi.Float(0), mi.Float(1)
     for values in _limits(P, omega, u0, v0, h, tri, lighting, segment):
         at_A, at_B, at_C = turn(values)
@@ -134,7 +143,7 @@ def _chord(x, tri, lighting, segment):
 def _limits(P, omega, u0, v0, h, tri, lighting, segment):
     """Corner values of the functions that must be positive where light reaches the segment."""
     t, s, facing, leaving = [], [], [], []
-    for p, w, (u, v) in zip(P, omega, light_beams.CORNERS):
+    for p, w, (u, v) in zip(P, omega, light_beam.CORNERS):
         t_i, s_i = _meeting(p, w, segment)
         t.append(t_i)
         s.append(s_i)
@@ -142,7 +151,7 @@ def _limits(P, omega, u0, v0, h, tri, lighting, segment):
         leaving.append(-dr.dot(w, tri.Ng))
     limits = [t, [segment.t_max - t_i for t_i in t], s, facing, leaving]
     if lighting.total_reflection:
-        limits.append([_inside_cosine2(tri, lighting, u0 + h * u, v0 + h * v) for u, v in light_beams.CORNERS])
+        limits.append([_inside_cosine2(tri, lighting, u0 + h * u, v0 + h * v) for u, v in light_beam.CORNERS])
     return limits
 
 
@@ -150,6 +159,14 @@ def _inside_cosine2(tri, lighting, u, v):
     """Square of the refracted ray's cosine; negative where light is totally reflected."""
     c_L = dr.dot(dr.normalize(lighting.L - tri.position(u, v)), tri.normal(u, v))
     return 1 - (1 - dr.square(c_L)) / dr.square(lighting.eta)
+
+
+def zeros(pairs, segments, beams, tri, lighting):
+    """``beam.Zeros`` of parts of beams (``pairs`` with codes): bend and twist fall by 4 with every level."""
+    x = triangle.gather_numbers(beams.records, pairs.beam, light_beam.BEAM)
+    P, omega, _, _, _ = _piece(x, pairs, tri, lighting)
+    smaller = dr.rcp(mi.Float(1 << (2 * pairs.level)))
+    return light_beam.classify(P, omega, x[18] * smaller, x[19] * smaller, segments.gather(pairs.segment))
 
 
 @dataclass
@@ -162,14 +179,14 @@ class Sums:
     unresolved: object = None
 
 
-def accumulate(sums, index, beam, segments, beams, records, lighting, accuracy):
-    """Adds what the beams ``beam`` bring to the segments ``index`` (UInt32 arrays of pairs) to ``sums``.
+def accumulate(sums, pairs, segments, beams, records, lighting, accuracy):
+    """Adds what the beams bring to the segments of ``pairs`` (``beams.Pairs``) to ``sums``.
 
     First the pairs whose light path is proven to be free, without any shadow ray; then the others.
     """
     arguments = (sums, segments, beams, records, lighting, accuracy)
     if lighting.lit is None and lighting.inside is None:
-        _accumulate(index, beam, *arguments, lambda *_: (True, False))
+        _accumulate(pairs, *arguments, lambda *_: (True, False))
         return
 
     def proof(point, s, tri, clear, proven_lit, active):
@@ -184,19 +201,20 @@ def accumulate(sums, index, beam, segments, beams, records, lighting, accuracy):
             active = active & (proven_lit | lighting.lit(point.P, tri.Ng, active & ~proven_lit))
         return active, False
 
-    open_pairs = dr.compress(_accumulate(index, beam, *arguments, proof))
+    open_pairs = dr.compress(_accumulate(pairs, *arguments, proof))
     if dr.width(open_pairs) > 0:
-        _accumulate(*(dr.gather(mi.UInt32, x, open_pairs) for x in (index, beam)), *arguments, rays)
+        _accumulate(pairs.gather(open_pairs), *arguments, rays)
 
 
-def _accumulate(index, beam, sums, segments, beams, records, lighting, accuracy, shadow):
+def _accumulate(pairs, sums, segments, beams, records, lighting, accuracy, shadow):
     """One kernel of ``accumulate``. ``shadow(point, s, tri, clear, proven_lit, active) -> (free, open)``; a pair with
     a point that is open is left out. Returns which pairs are."""
+    index = pairs.segment
     segment = segments.gather(index)
-    x = triangle.gather_numbers(beams.records, beam, light_beams.BEAM)
-    tri = triangle.gather(records, dr.gather(mi.UInt32, beams.triangles, beam))
-    proven_lit = dr.gather(mi.Bool, beams.proven_lit, beam)
-    chord = _chord(x, tri, lighting, segment)
+    x = triangle.gather_numbers(beams.records, pairs.beam, light_beam.BEAM)
+    tri = triangle.gather(records, dr.gather(mi.UInt32, beams.triangles, pairs.beam))
+    proven_lit = dr.gather(mi.Bool, beams.proven_lit, pairs.beam)
+    chord = _chord(*_piece(x, pairs, tri, lighting), tri, lighting, segment)
     A2 = dr.norm(dr.cross(tri.P_u, tri.P_v))
     sigma_t = segments.sigma_t_of(index)
     total, resolved, contributes, is_open = mi.Spectrum(0), mi.Bool(True), mi.Bool(False), mi.Bool(False)
