@@ -28,6 +28,20 @@ MAX_SUBDIVISION = 5
 """Most levels (each cuts a triangle in 4) by which a strongly bent beam is refined, for all segments; and again for
 the segments along which g is far from linear on it."""
 
+DEPTH = 1.0
+"""Largest change of optical depth along the curve in one beam: up to there the one Gauss point, with the mean of the
+exponential taken exactly, or two of them are good to 1e-3. Where it is larger the beam is subdivided."""
+
+MARGIN = 0.2
+"""How near to zero, relative to its change, t, s or another limit must come on the curve in a beam to be looked at."""
+
+NEAR = 0.2
+"""Largest edge of a beam's triangle relative to its distance from the light: the light's 1/d^2 is then good to 1e-3."""
+
+TURN = 0.3
+"""Largest difference between the refracted directions at the corners of a beam, in radians: the cosines and the
+transmittance are then good to a few 1e-3."""
+
 PIECES = 1 << 21
 """Most parts of beams that are looked at in one kernel."""
 
@@ -49,7 +63,8 @@ class Accuracy:
     """What the one knob ``tolerance`` selects.
 
     ``linear``: largest deviation of g from linear, relative to its range, on a beam that is solved whole; for a
-    camera segment that needs it a beam is subdivided.
+    camera segment that needs it a beam is subdivided. ``clip``: the same for t + s along a curve that begins or ends
+    inside a beam, relative to its change there.
     ``bend``: largest deviation of a light beam from a linear one, relative to its width; beams that are
     bent more are subdivided. ``points``: Gauss points along the curve in one beam. ``newton``: Newton
     steps per point. ``weight``: camera legs with a smaller weight are dropped.
@@ -60,17 +75,18 @@ class Accuracy:
     newton: int
     weight: float
     linear: float
+    clip: float
 
 
 def accuracy(tolerance):
     """The counts that are safe for a relative error ``tolerance`` of the image (0: exact to float32)."""
     if tolerance >= 0.1:
-        return Accuracy(bend=0.5, points=1, newton=1, weight=1e-2 * tolerance, linear=0.5)
+        return Accuracy(bend=0.5, points=1, newton=1, weight=1e-2 * tolerance, linear=0.5, clip=0.05)
     if tolerance >= 0.01:
-        return Accuracy(bend=0.1, points=1, newton=1, weight=1e-2 * tolerance, linear=0.25)
+        return Accuracy(bend=0.1, points=1, newton=1, weight=1e-2 * tolerance, linear=0.25, clip=0.01)
     if tolerance >= 0.001:
-        return Accuracy(bend=0.05, points=2, newton=2, weight=1e-2 * tolerance, linear=0.1)
-    return Accuracy(bend=0.02, points=4, newton=3, weight=1e-2 * tolerance, linear=0.05)
+        return Accuracy(bend=0.05, points=2, newton=2, weight=1e-2 * tolerance, linear=0.1, clip=0.001)
+    return Accuracy(bend=0.02, points=4, newton=3, weight=1e-2 * tolerance, linear=0.05, clip=1e-4)
 
 
 def gauss(points):

@@ -95,56 +95,66 @@ def scatter(segments, beams, records, lighting, accuracy, detail=False, progress
                 dr.scatter_add(candidates, mi.Float(1), of, zeros.possible)
             dr.eval(zeros.possible, whole, parts, candidates)
             counts.candidates += int(dr.count(zeros.possible)[0])
-            solve = lambda pairs: curve.accumulate(sums, pairs, segments, beams, records, lighting, accuracy)
-            _each(whole, lane, leaf, solve)
-            _each(parts, lane, leaf, lambda pairs: _refine(pairs, segments, beams, records, lighting, accuracy, solve))
+            work = Work(sums, segments, beams, records, lighting, accuracy)
+            index = dr.compress(whole)
+            if dr.width(index) > 0:
+                work.refine(work.solve(light_beams.pairs_at(lane, leaf, index)))
+            work.refine(light_beams.pairs_at(lane, leaf, dr.compress(parts)))
         start += size
         if progress is not None:
             progress(start, n)
     return sums, candidates, counts
 
 
-def _each(mask, lane, leaf, work):
-    """Calls ``work`` with the pairs in ``mask``, if there are any."""
-    index = dr.compress(mask)
-    if dr.width(index) > 0:
-        work(light_beams.pairs_at(lane, leaf, index))
+@dataclass
+class Work:
+    """Solving pairs of one chunk, and cutting beams into parts where they are too complicated for a segment."""
 
+    sums: curve.Sums
+    segments: Segments
+    beams: light_beams.Beams
+    records: object
+    lighting: curve.Lighting
+    accuracy: tolerances.Accuracy
 
-def _refine(pairs, segments, beams, records, lighting, accuracy, solve):
-    """Cuts beams on which g is far from linear along the segment until it isn't, and solves the parts."""
-    zero = dr.zeros(mi.UInt32, len(pairs))
-    open_parts, done = [Pairs(pairs.segment, pairs.beam, zero, zero)], []
-    while open_parts:
-        part = open_parts.pop()
-        n = len(part)
-        if n > tolerances.PIECES // 4:
-            half = dr.arange(mi.UInt32, n // 2)
-            open_parts += [part.gather(half), part.gather(n // 2 + dr.arange(mi.UInt32, n - n // 2))]
-            continue
-        bracketed, bent = _quarter(part, segments, beams, records, lighting, accuracy)
-        if bent is not None:
-            open_parts.append(bent)
-        if bracketed is not None:
-            done.append(bracketed)
-        if sum(map(len, done)) > tolerances.PIECES or (done and not open_parts):
-            solve(Pairs(*(lanes.concat(x) for x in zip(*(vars(p).values() for p in done)))))
-            done = []
+    def solve(self, pairs):
+        """Accumulates the pairs; returns those that must be cut first."""
+        return curve.accumulate(self.sums, pairs, self.segments, self.beams, self.records, self.lighting, self.accuracy)
 
+    def refine(self, pairs):
+        """Cuts the beams of ``pairs`` into parts until g is close to linear on them, and solves these."""
+        if len(pairs) == 0:
+            return
+        zero = dr.zeros(mi.UInt32, len(pairs))
+        open_parts, solvable = [Pairs(pairs.segment, pairs.beam, zero, zero)], []
+        while open_parts:
+            part = open_parts.pop()
+            n = len(part)
+            if n > tolerances.PIECES // 4:
+                half = dr.arange(mi.UInt32, n // 2)
+                open_parts += [part.gather(half), part.gather(n // 2 + dr.arange(mi.UInt32, n - n // 2))]
+                continue
+            for parts, found in zip((solvable, open_parts), self._quarter(part)):
+                if len(found) > 0:
+                    parts.append(found)
+            if sum(map(len, solvable)) > tolerances.PIECES or (solvable and not open_parts):
+                deep = self.solve(Pairs(*(lanes.concat(x) for x in zip(*(vars(p).values() for p in solvable)))))
+                solvable = []
+                if len(deep) > 0:
+                    open_parts.append(deep)
 
-def _quarter(part, segments, beams, records, lighting, accuracy):
-    """The four parts of each part: ``(solvable, bent)``, None where there are none."""
-    i = dr.arange(mi.UInt32, 4 * len(part))
-    quarters = part.gather(i // 4)
-    quarters.code |= (i & 3) << (2 * quarters.level)
-    quarters.level += 1
-    tri = triangle.gather(records, dr.gather(mi.UInt32, beams.triangles, quarters.beam))
-    zeros = curve.zeros(quarters, segments, beams, tri, lighting)
-    bent = (zeros.nonlinearity > dr.opaque(mi.Float, accuracy.linear)) & (quarters.level < tolerances.MAX_SUBDIVISION)
-    solvable, go_on = zeros.bracketed & ~bent, zeros.possible & bent
-    dr.eval(quarters.code, quarters.level, quarters.segment, quarters.beam, solvable, go_on)
-    index = [dr.compress(mask) for mask in (solvable, go_on)]
-    return tuple(quarters.gather(x) if dr.width(x) > 0 else None for x in index)
+    def _quarter(self, part):
+        """The four parts of each part: those that can be solved, and those that must be cut again."""
+        i = dr.arange(mi.UInt32, 4 * len(part))
+        quarters = part.gather(i // 4)
+        quarters.code |= (i & 3) << (2 * quarters.level)
+        quarters.level += 1
+        tri = triangle.gather(self.records, dr.gather(mi.UInt32, self.beams.triangles, quarters.beam))
+        zeros = curve.zeros(quarters, self.segments, self.beams, tri, self.lighting)
+        bent = (zeros.nonlinearity > dr.opaque(mi.Float, self.accuracy.linear)) & (quarters.level < tolerances.MAX_SUBDIVISION)
+        solvable, go_on = zeros.bracketed & ~bent, zeros.possible & bent
+        dr.eval(quarters.code, quarters.level, quarters.segment, quarters.beam, solvable, go_on)
+        return quarters.gather(dr.compress(solvable)), quarters.gather(dr.compress(go_on))
 
 
 def _fitting(size, found):

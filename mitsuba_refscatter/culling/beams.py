@@ -47,19 +47,24 @@ def _lit(tri, L):
 
 
 def _levels(tri, light, size, bend):
-    """Subdivisions after which the bend of the beam is below ``bend`` times its width.
+    """Subdivisions after which a beam is simple enough.
 
-    Width and bend are taken at the distance ``size``. Per level the bend falls by 4, the width by 2.
+    Its bend is below ``bend`` times its width (both at the distance ``size``; per level the bend falls by 4, the
+    width by 2), and its edges and directions are within ``tolerances.NEAR`` and ``TURN``.
     """
     P, omega = zip(*(light_beam.refracted(tri, u, v, *light) for u, v in light_beam.CORNERS))
-    width, deviation = mi.Float(0), mi.Float(0)
+    distance = light_beam.fold(dr.minimum, [dr.norm(light[0] - p) for p in P])
+    width, deviation, excess = mi.Float(0), mi.Float(0), mi.Float(0)
     for i, (u, v) in enumerate(light_beam.MIDDLES):
         j, k = (i + 1) % 3, (i + 2) % 3
         _, middle = light_beam.refracted(tri, u, v, *light)
         deviation = dr.maximum(deviation, size * dr.norm(middle - 0.5 * (omega[j] + omega[k])))
-        width = dr.maximum(width, dr.norm(P[j] - P[k]) + size * dr.norm(omega[j] - omega[k]))
-    ratio = deviation / dr.maximum(bend * width, 1e-30)
-    level = dr.ceil(dr.log2(dr.maximum(ratio, 1e-6)))
+        edge, turn = dr.norm(P[j] - P[k]), dr.norm(omega[j] - omega[k])
+        width = dr.maximum(width, edge + size * turn)
+        near = edge / (tolerances.NEAR * dr.maximum(distance, 1e-30))
+        excess = dr.maximum(excess, dr.maximum(near, turn / tolerances.TURN))
+    excess = dr.maximum(excess, deviation / dr.maximum(bend * width, 1e-30))
+    level = dr.ceil(dr.log2(dr.clip(excess, 1e-6, 1e6)))
     return mi.UInt32(dr.clip(level, 0, tolerances.MAX_SUBDIVISION))
 
 

@@ -88,7 +88,9 @@ def _meeting(P, omega, segment):
 
 @dataclass
 class _Chord:
-    """The zero line of the linear g in a beam: lone corner, the two edge points, and its valid part."""
+    """The zero line of the linear g in a beam: lone corner, the two edge points, its valid part (start <
+    tau < end), the path t + s at both edge points, and
+    whether it begins or ends in the beam or nearly so."""
 
     A: object
     to_E1: object
@@ -97,7 +99,10 @@ class _Chord:
     g_A: object
     start: object
     end: object
+    path_1: object
+    path_2: object
     active: object
+    unsure: object
 
 
 def _piece(x, pairs, tri, lighting):
@@ -129,15 +134,25 @@ def _chord(P, omega, u0, v0, h, tri, lighting, segment):
     r2 = g_A / dr.select(active, g_A - g_C, 1)
     uv = turn([mi.Vector2f(u0 + h * u, v0 + h * v) for u, v in light_beam.CORNERS])
     start, end = mi.Float(0), mi.Float(1)
-    for values in _limits(P, omega, u0, v0, h, tri, lighting, segment):
+
+    def at_ends(values):
         at_A, at_B, at_C = turn(values)
-        at_1, at_2 = at_A + r1 * (at_B - at_A), at_A + r2 * (at_C - at_A)
+        return at_A + r1 * (at_B - at_A), at_A + r2 * (at_C - at_A)
+
+    limits = _limits(P, omega, u0, v0, h, tri, lighting, segment)
+    unsure = mi.Bool(False)
+    for values in limits:
+        at_1, at_2 = at_ends(values)
+        nearest = dr.minimum(dr.maximum(at_1, at_2), -dr.minimum(at_1, at_2))
+        unsure |= nearest > -tolerances.MARGIN * dr.abs(at_1 - at_2)
         zero = at_1 / dr.select(at_1 == at_2, 1, at_1 - at_2)
         start = dr.select(at_1 < 0, dr.select(at_2 < 0, 2, dr.maximum(start, zero)), start)
         end = dr.select((at_2 < 0) & (at_1 >= 0), dr.minimum(end, zero), end)
+    unsure &= active
     active &= start < end
     scale = r1 * r2 * dr.square(h) * (end - start)
-    return _Chord(uv[0], r1 * (uv[1] - uv[0]), r2 * (uv[2] - uv[0]), scale, g_A, start, end, active)
+    path_1, path_2 = at_ends([t + s for t, s in zip(limits[0], limits[2])])
+    return _Chord(uv[0], r1 * (uv[1] - uv[0]), r2 * (uv[2] - uv[0]), scale, g_A, start, end, path_1, path_2, active, unsure)
 
 
 def _limits(P, omega, u0, v0, h, tri, lighting, segment):
@@ -182,12 +197,10 @@ class Sums:
 def accumulate(sums, pairs, segments, beams, records, lighting, accuracy):
     """Adds what the beams bring to the segments of ``pairs`` (``beams.Pairs``) to ``sums``.
 
-    First the pairs whose light path is proven to be free, without any shadow ray; then the others.
+    First the pairs whose light path is proven to be free, without any shadow ray; then the others. Returns the
+    pairs that were left out since their beams must be cut first.
     """
     arguments = (sums, segments, beams, records, lighting, accuracy)
-    if lighting.lit is None and lighting.inside is None:
-        _accumulate(pairs, *arguments, lambda *_: (True, False))
-        return
 
     def proof(point, s, tri, clear, proven_lit, active):
         free = (s < clear if lighting.inside is not None else True) & proven_lit
@@ -201,14 +214,19 @@ def accumulate(sums, pairs, segments, beams, records, lighting, accuracy):
             active = active & (proven_lit | lighting.lit(point.P, tri.Ng, active & ~proven_lit))
         return active, False
 
-    open_pairs = dr.compress(_accumulate(pairs, *arguments, proof))
+    if lighting.lit is None and lighting.inside is None:
+        return pairs.gather(dr.compress(_accumulate(pairs, *arguments, lambda *_: (True, False))[1]))
+    is_open, cut = _accumulate(pairs, *arguments, proof)
+    open_pairs = dr.compress(is_open)
     if dr.width(open_pairs) > 0:
         _accumulate(pairs.gather(open_pairs), *arguments, rays)
+    return pairs.gather(dr.compress(cut))
 
 
 def _accumulate(pairs, sums, segments, beams, records, lighting, accuracy, shadow):
     """One kernel of ``accumulate``. ``shadow(point, s, tri, clear, proven_lit, active) -> (free, open)``; a pair with
-    a point that is open is left out. Returns which pairs are."""
+    a point that is open is left out, and so is one along which the optical depth changes too much, or that ends
+    inside the beam at a place that is not known well enough. Returns which pairs are open, and which must be cut."""
     index = pairs.segment
     segment = segments.gather(index)
     x = triangle.gather_numbers(beams.records, pairs.beam, light_beam.BEAM)
@@ -217,13 +235,19 @@ def _accumulate(pairs, sums, segments, beams, records, lighting, accuracy, shado
     chord = _chord(*_piece(x, pairs, tri, lighting), tri, lighting, segment)
     A2 = dr.norm(dr.cross(tri.P_u, tri.P_v))
     sigma_t = segments.sigma_t_of(index)
+    path = dr.abs(chord.path_2 - chord.path_1)
+    change = sigma_t * path * (chord.end - chord.start)
+    may_cut = True if pairs.level is None else pairs.level < tolerances.MAX_SUBDIVISION
+    cut = chord.active & (dr.max(change) > tolerances.DEPTH) & may_cut
     total, resolved, contributes, is_open = mi.Spectrum(0), mi.Bool(True), mi.Bool(False), mi.Bool(False)
     for tau, weight in zip(*tolerances.gauss(accuracy.points)):
         tau = chord.start + tau * (chord.end - chord.start)
         D = chord.to_E1 + tau * (chord.to_E2 - chord.to_E1)
         point, inverse_slope, solved = _solve(chord, D, tri, lighting, segment, accuracy.newton)
         t, s = _meeting(point.P, point.omega, segment)
-        active = chord.active & _valid(point, t, s, tri, segment, lighting)
+        curved = dr.abs(t + s - dr.lerp(chord.path_1, chord.path_2, tau)) > dr.opaque(mi.Float, accuracy.clip) * path
+        cut |= chord.unsure & curved & may_cut
+        active = chord.active & ~cut & _valid(point, t, s, tri, segment, lighting)
         free, undecided = shadow(point, s, tri, x[23], proven_lit, active)
         is_open |= active & undecided
         active &= free
@@ -233,14 +257,24 @@ def _accumulate(pairs, sums, segments, beams, records, lighting, accuracy, shado
         finite = dr.isfinite(value)
         resolved &= ~active | (solved & finite)
         contributes |= active
-        total += dr.select(active & finite, value * dr.exp(-sigma_t * (t + s)), 0)
-    contributes &= ~is_open
+        attenuation = dr.exp(-sigma_t * (t + s))
+        if accuracy.points == 1:  # the mean of the exponential along the chord, relative to its middle
+            attenuation *= _sinhc(0.5 * change)
+        total += dr.select(active & finite, value * attenuation, 0)
+    is_open &= ~cut
+    contributes &= ~(is_open | cut)
     dr.scatter_add(sums.value, total, index, contributes)
     if sums.contributions is not None:
         dr.scatter_add(sums.contributions, mi.Float(1), index, contributes)
         dr.scatter_add(sums.unresolved, mi.Float(1), index, contributes & ~resolved)
-    dr.eval(is_open, sums.value, sums.contributions, sums.unresolved)
-    return is_open
+    dr.eval(is_open, cut, sums.value, sums.contributions, sums.unresolved)
+    return is_open, cut
+
+
+def _sinhc(x):
+    """sinh(x) / x to 1e-4 for |x| <= 1."""
+    y = dr.square(dr.minimum(x, 1))
+    return 1 + y / 6 + dr.square(y) / 120
 
 
 def _solve(chord, D, tri, lighting, segment, newton):
