@@ -1,4 +1,4 @@
-"""Joining arrays of lanes end to end."""
+"""Picking and joining lanes of arrays."""
 
 import drjit as dr
 
@@ -11,3 +11,8 @@ def concat(parts):
     if dr.depth_v(parts[0]) == 1:
         return dr.concat(parts)
     return type(parts[0])(*(dr.concat([p[k] for p in parts]) for k in range(len(parts[0]))))
+
+
+def gather(x, index):
+    """The lanes ``index`` of ``x``; no lanes for an empty index, which Dr.Jit does not take."""
+    return type(x)() if dr.width(index) == 0 else dr.gather(type(x), x, index)

@@ -35,6 +35,12 @@ exponential taken exactly, or two of them are good to 1e-3. Where it is larger t
 MARGIN = 0.2
 """How near to zero, relative to its change, t, s or another limit must come on the curve in a beam to be looked at."""
 
+CUT = 8
+"""Parts into which the curve in a beam is cut where it is too complicated."""
+
+SHORTEST = 1.5 / CUT**3
+"""Length relative to the curve in one beam below which a part is not cut again."""
+
 NEAR = 0.2
 """Largest edge of a beam's triangle relative to its distance from the light: the light's 1/d^2 is then good to 1e-3."""
 

@@ -96,9 +96,7 @@ def scatter(segments, beams, records, lighting, accuracy, detail=False, progress
             dr.eval(zeros.possible, whole, parts, candidates)
             counts.candidates += int(dr.count(zeros.possible)[0])
             work = Work(sums, segments, beams, records, lighting, accuracy)
-            index = dr.compress(whole)
-            if dr.width(index) > 0:
-                work.refine(work.solve(light_beams.pairs_at(lane, leaf, index)))
+            work.solve(light_beams.pairs_at(lane, leaf, dr.compress(whole)))
             work.refine(light_beams.pairs_at(lane, leaf, dr.compress(parts)))
         start += size
         if progress is not None:
@@ -118,8 +116,16 @@ class Work:
     accuracy: tolerances.Accuracy
 
     def solve(self, pairs):
-        """Accumulates the pairs; returns those that must be cut first."""
-        return curve.accumulate(self.sums, pairs, self.segments, self.beams, self.records, self.lighting, self.accuracy)
+        """Accumulates the pairs, and where the curve is too complicated the parts into which it is cut."""
+        todo = [pairs]
+        while todo:
+            part = todo.pop()
+            if len(part) > tolerances.PIECES and part.tau0 is not None:
+                todo += part.halves()
+            elif len(part) > 0:
+                rest = curve.accumulate(self.sums, part, self.segments, self.beams, self.records, self.lighting, self.accuracy)
+                if len(rest) > 0:
+                    todo.append(rest.cut(tolerances.CUT))
 
     def refine(self, pairs):
         """Cuts the beams of ``pairs`` into parts until g is close to linear on them, and solves these."""
@@ -129,19 +135,15 @@ class Work:
         open_parts, solvable = [Pairs(pairs.segment, pairs.beam, zero, zero)], []
         while open_parts:
             part = open_parts.pop()
-            n = len(part)
-            if n > tolerances.PIECES // 4:
-                half = dr.arange(mi.UInt32, n // 2)
-                open_parts += [part.gather(half), part.gather(n // 2 + dr.arange(mi.UInt32, n - n // 2))]
+            if len(part) > tolerances.PIECES // 4:
+                open_parts += part.halves()
                 continue
             for parts, found in zip((solvable, open_parts), self._quarter(part)):
                 if len(found) > 0:
                     parts.append(found)
             if sum(map(len, solvable)) > tolerances.PIECES or (solvable and not open_parts):
-                deep = self.solve(Pairs(*(lanes.concat(x) for x in zip(*(vars(p).values() for p in solvable)))))
+                self.solve(Pairs(*(lanes.concat(x) for x in list(zip(*(vars(p).values() for p in solvable)))[:4])))
                 solvable = []
-                if len(deep) > 0:
-                    open_parts.append(deep)
 
     def _quarter(self, part):
         """The four parts of each part: those that can be solved, and those that must be cut again."""

@@ -91,7 +91,7 @@ def test_flat_water(rgb, tmp_path, eta):
     o = build.rounded(np.tile([1.0, -3.0, 2.5], (500, 1)))
     d = np.concatenate([rng.uniform(-1.5, 1.5, (500, 2)), np.zeros((500, 1))], axis=1) - o
     d = build.rounded(d / np.linalg.norm(d, axis=1, keepdims=True))
-    ours = build.single_scattering(scene, o, d, internal_bounces=0, tolerance=1e-3)
+    ours = build.single_scattering(scene, o, d, internal_bounces=0, tolerance=1e-4)
     body = body_of(mesh, eta)
     legs = oracle.camera_segments([body], o, d, 0)
     truth = legs.weight * oracle.plane_radiance(

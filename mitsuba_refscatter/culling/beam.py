@@ -57,10 +57,13 @@ def corners(numbers):
 @dataclass
 class Zeros:
     """Where g vanishes on beams. ``possible``: False only if it surely doesn't; ``bracketed``: the corners have
-    different signs; ``nonlinearity``: how far g can deviate from linear, relative to its range."""
+    different signs; ``g``: its values there; ``bound``: how far it can deviate from linear in between; ``nonlinearity``:
+    the same relative to its range."""
 
     possible: object
     bracketed: object
+    g: list
+    bound: object
     nonlinearity: object
 
 
@@ -74,7 +77,8 @@ def classify(P, omega, bend, twist, segment):
     bound = bend * reach + twist
     low, high = fold(dr.minimum, g), fold(dr.maximum, g)
     # A pair of which only an edge is touched, g = 0 at a corner, is bracketed on one side of it only.
-    return Zeros((low <= bound) & (high >= -bound), (low < 0) & (high >= 0), bound / dr.maximum(high - low, 1e-30))
+    possible, bracketed = (low <= bound) & (high >= -bound), (low < 0) & (high >= 0)
+    return Zeros(possible, bracketed, g, bound, bound / dr.maximum(high - low, 1e-30))
 
 
 def fold(f, items):

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import tolerances
+from .. import lanes, tolerances
 from ..geometry import bvh, triangle
 from . import beam as light_beam
 from . import beam_tree
@@ -139,16 +139,35 @@ def _beam(tri, light, u0, v0, h, clear):
 @dataclass
 class Pairs:
     """(segment, beam) pairs as UInt32 arrays. Pairs may be of a part of a beam only: the sub-triangle ``code`` of
-    ``level`` (``beam.sub_triangle``; None where the whole beam is meant)."""
+    ``level`` (``beam.sub_triangle``; None where the whole beam is meant); and of a part tau0 < tau < tau1 of
+    the curve in it only (Float; None where all is meant)."""
 
     segment: object
     beam: object
     code: object = None
     level: object = None
+    tau0: object = None
+    tau1: object = None
 
     def gather(self, index):
         """The pairs at ``index``."""
-        return Pairs(*(None if x is None else dr.gather(mi.UInt32, x, index) for x in self.__dict__.values()))
+        return Pairs(*(None if x is None else lanes.gather(x, index) for x in self.__dict__.values()))
+
+    def halves(self):
+        """The pairs as two lists."""
+        n = len(self) // 2
+        return [self.gather(dr.arange(mi.UInt32, n)), self.gather(n + dr.arange(mi.UInt32, len(self) - n))]
+
+    def cut(self, n):
+        """Each part of the curve in ``n`` shorter ones."""
+        i = dr.arange(mi.UInt32, n * len(self))
+        parts = self.gather(i // n)
+        if parts.tau0 is None:
+            parts.tau0, parts.tau1 = mi.Float(0), mi.Float(1)
+        step = (parts.tau1 - parts.tau0) / n
+        parts.tau0 = parts.tau0 + mi.Float(i % n) * step
+        parts.tau1 = parts.tau0 + step
+        return parts
 
     def __len__(self):
         return dr.width(self.segment)
@@ -156,8 +175,10 @@ class Pairs:
 
 def pairs_at(lane, leaf, index):
     """The pairs numbered ``index``: beam ``index % LEAF`` of the (segment, leaf) pair ``index // LEAF``."""
+    if dr.width(index) == 0:
+        return Pairs(index, index)
     place = index // bvh.LEAF
-    return Pairs(dr.gather(mi.UInt32, lane, place), dr.gather(mi.UInt32, leaf, place) * bvh.LEAF + (index & (bvh.LEAF - 1)))
+    return Pairs(lanes.gather(lane, place), lanes.gather(leaf, place) * bvh.LEAF + (index & (bvh.LEAF - 1)))
 
 
 def candidates(beams, segments, lane, leaf, count):

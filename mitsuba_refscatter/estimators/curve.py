@@ -8,14 +8,13 @@ g is zero where the light beam refracted at (u, v) meets the camera line. This i
 the single-scattering integral: no distance correction D as in Walter et al. 2009 (eq. 13) and Holzschuch
 2015 (eq. 9), and no singularity at folds of the caustic.
 
-In a beam whose corners have g of different signs let A be the corner that is alone with its sign. Every
-ray from A crosses the curve once. With E1, E2 the zeros of the linear g on the two edges at A, at the
-fractions r1, r2 of these edges, X = (1 - tau) E1 + tau E2, and g(A + lambda (X - A)) = 0 at lambda:
+In a beam whose corners have g of different signs let E1 and E2 be the points on its edges where the linear
+g vanishes, X = (1 - tau) E1 + tau E2, and M a corner. With g(M + lambda (X - M)) = 0 at lambda:
 
-    integral over {g = 0} of F / |grad g| dl = r1 r2 * integral over tau in [0, 1] of F lambda / |dg/dlambda|
+    integral over {g = 0} of F / |grad g| dl = |M E1 x M E2| * integral over tau of F lambda / |dg/dlambda|
 
-with a constant integrand where g is linear and F constant. (Area element of the map (tau, lambda) ->
-(u, v): r1 r2 lambda.)
+with a constant integrand where g is linear and F constant. (The right side is the integral of F delta(g) in the
+coordinates (tau, lambda), whose area element is |M E1 x M E2| lambda.)
 """
 
 from dataclasses import dataclass
@@ -88,37 +87,76 @@ def _meeting(P, omega, segment):
 
 @dataclass
 class _Chord:
-    """The zero line of the linear g in a beam: lone corner, the two edge points, its valid part (start <
-    tau < end), the path t + s at both edge points, and
-    whether it begins or ends in the beam or nearly so."""
+    """The zero line of the linear g in a beam: the corner M of the rays that look for the curve, the edge points
+    E1 and E2 from there, twice the area of M E1 E2, and g at the corner."""
 
-    A: object
+    M: object
     to_E1: object
     to_E2: object
     scale: object
-    g_A: object
+    g_M: object
+    active: object
+
+    def direction(self, tau):
+        return self.to_E1 + tau * (self.to_E2 - self.to_E1)
+
+
+@dataclass
+class _Interval:
+    """The part of a chord, start < tau < end, that light and segment reach; whether it begins or ends inside the
+    beam, or nearly so (``unsure``); and ``path``: t + s as a linear function of tau, (tau0, value, slope)."""
+
     start: object
     end: object
-    path_1: object
-    path_2: object
-    active: object
     unsure: object
+    path: tuple
+
+    def path_at(self, tau):
+        tau0, value, slope = self.path
+        return value + (tau - tau0) * slope
+
+
+@dataclass
+class _Piece:
+    """Beams or parts of them: corners, bounds of non-linearity as in a beam's record, and place in the triangle."""
+
+    P: list
+    omega: list
+    bend: object
+    twist: object
+    u0: object
+    v0: object
+    h: object
+
+    def uv(self):
+        return [mi.Vector2f(self.u0 + self.h * u, self.v0 + self.h * v) for u, v in light_beam.CORNERS]
+
+    def zeros(self, segment):
+        """``beam.Zeros`` of g for segments."""
+        return light_beam.classify(self.P, self.omega, self.bend, self.twist, segment)
 
 
 def _piece(x, pairs, tri, lighting):
-    """Corners and place ``(P, omega, u0, v0, h)`` of the beams, or of the parts of them that are meant."""
-    u0, v0, h = x[20:23]
+    """The beams with the records ``x``, or the parts of them that are meant: bend and twist fall by 4 per level."""
+    bend, twist, u0, v0, h = x[18:23]
     if pairs.code is None:
-        return *light_beam.corners(x), u0, v0, h
+        return _Piece(*light_beam.corners(x), bend, twist, u0, v0, h)
     u, v, size = light_beam.sub_triangle(pairs.code, pairs.level)
     u0, v0, h = u0 + h * u, v0 + h * v, h * size
-    corners = [light_beam.refracted(tri, u0 + h * u, v0 + h * v, lighting.L, lighting.eta) for u, v in light_beam.CORNERS]
-    return *zip(*corners), u0, v0, h
+    P, omega = zip(*(light_beam.refracted(tri, u0 + h * u, v0 + h * v, lighting.L, lighting.eta) for u, v in light_beam.CORNERS))
+    smaller = dr.rcp(mi.Float(1 << (2 * pairs.level)))
+    return _Piece(P, omega, bend * smaller, twist * smaller, u0, v0, h)
 
 
-def _chord(P, omega, u0, v0, h, tri, lighting, segment):
-    """Finds the chord and clips it to where light and segment are: t, s, c_L and the facet's sides."""
-    g = [dr.dot(w, dr.cross(p - segment.o, segment.d)) for p, w in zip(P, omega)]
+def _chord(piece, tri, lighting, segment):
+    """The chord of beams, and the limits (``_limits``) at its two ends, interpolated from the corners.
+
+    The rays start from the lone corner A: then the curves of neighbouring triangles meet on their common edge. Only
+    where g changes less along an edge at A than it can deviate from linear, as where the curve runs along that
+    edge, do they start from the corner where |g| is largest.
+    """
+    zeros = piece.zeros(segment)
+    g = zeros.g
     up = [value >= 0 for value in g]
     lone_1, lone_2 = (up[0] == up[2]) & (up[1] != up[0]), (up[0] == up[1]) & (up[2] != up[0])
     active = lone_1 | lone_2 | ((up[1] == up[2]) & (up[0] != up[1]))
@@ -130,58 +168,70 @@ def _chord(P, omega, u0, v0, h, tri, lighting, segment):
                 dr.select(lone_1, a, dr.select(lone_2, b, c)))  # fmt: skip
 
     g_A, g_B, g_C = turn(g)
+    A, B, C = turn(piece.uv())
     r1 = g_A / dr.select(active, g_A - g_B, 1)
     r2 = g_A / dr.select(active, g_A - g_C, 1)
-    uv = turn([mi.Vector2f(u0 + h * u, v0 + h * v) for u, v in light_beam.CORNERS])
-    start, end = mi.Float(0), mi.Float(1)
-
-    def at_ends(values):
+    flat = dr.minimum(dr.abs(g_A - g_B), dr.abs(g_A - g_C)) < zeros.bound
+    from_B, from_C = flat & (dr.abs(g_B) >= dr.abs(g_C)), flat & (dr.abs(g_B) < dr.abs(g_C))
+    M = dr.select(from_B, B, dr.select(from_C, C, A))
+    to_E1, to_E2 = A + r1 * (B - A) - M, A + r2 * (C - A) - M
+    scale = dr.abs(to_E1.x * to_E2.y - to_E1.y * to_E2.x)
+    chord = _Chord(M, to_E1, to_E2, scale, dr.select(from_B, g_B, dr.select(from_C, g_C, g_A)), active)
+    ends = []
+    for values in _corner_limits(piece, tri, lighting, segment):
         at_A, at_B, at_C = turn(values)
-        return at_A + r1 * (at_B - at_A), at_A + r2 * (at_C - at_A)
-
-    limits = _limits(P, omega, u0, v0, h, tri, lighting, segment)
-    unsure = mi.Bool(False)
-    for values in limits:
-        at_1, at_2 = at_ends(values)
-        nearest = dr.minimum(dr.maximum(at_1, at_2), -dr.minimum(at_1, at_2))
-        unsure |= nearest > -tolerances.MARGIN * dr.abs(at_1 - at_2)
-        zero = at_1 / dr.select(at_1 == at_2, 1, at_1 - at_2)
-        start = dr.select(at_1 < 0, dr.select(at_2 < 0, 2, dr.maximum(start, zero)), start)
-        end = dr.select((at_2 < 0) & (at_1 >= 0), dr.minimum(end, zero), end)
-    unsure &= active
-    active &= start < end
-    scale = r1 * r2 * dr.square(h) * (end - start)
-    path_1, path_2 = at_ends([t + s for t, s in zip(limits[0], limits[2])])
-    return _Chord(uv[0], r1 * (uv[1] - uv[0]), r2 * (uv[2] - uv[0]), scale, g_A, start, end, path_1, path_2, active, unsure)
+        ends.append((at_A + r1 * (at_B - at_A), at_A + r2 * (at_C - at_A)))
+    return chord, ends
 
 
-def _limits(P, omega, u0, v0, h, tri, lighting, segment):
-    """Corner values of the functions that must be positive where light reaches the segment."""
-    t, s, facing, leaving = [], [], [], []
-    for p, w, (u, v) in zip(P, omega, light_beam.CORNERS):
-        t_i, s_i = _meeting(p, w, segment)
-        t.append(t_i)
-        s.append(s_i)
-        facing.append(dr.dot(tri.n0 + tri.n_u * (u0 + h * u) + tri.n_v * (v0 + h * v), lighting.L - p))
-        leaving.append(-dr.dot(w, tri.Ng))
-    limits = [t, [segment.t_max - t_i for t_i in t], s, facing, leaving]
+def _clip(limits, tau0, tau1):
+    """The ``_Interval`` of tau0 < tau < tau1 in which all limits are positive, given their values at both ends."""
+    start, end, unsure, width = mi.Float(0), mi.Float(1), mi.Bool(False), tau1 - tau0
+    for at_0, at_1 in limits:
+        zero = at_0 / dr.select(at_0 == at_1, 1, at_0 - at_1)
+        start = dr.select(at_0 < 0, dr.select(at_1 < 0, 2, dr.maximum(start, zero)), start)
+        end = dr.select((at_1 < 0) & (at_0 >= 0), dr.minimum(end, zero), end)
+        nearest = dr.minimum(dr.maximum(at_0, at_1), -dr.minimum(at_0, at_1))
+        unsure |= nearest > -tolerances.MARGIN * dr.abs(at_0 - at_1)
+    (t_0, t_1), _, (s_0, s_1) = limits[:3]
+    path = (tau0, t_0 + s_0, (t_1 + s_1 - t_0 - s_0) / width)
+    return _Interval(tau0 + start * width, tau0 + end * width, unsure, path)
+
+
+def _limits(point, t, s, tri, segment, lighting):
+    """What must be positive for light to reach the segment: t, t_max - t, s, the cosine to the light, the cosine to
+    the facet inside, and where light may be totally reflected the square of the refracted ray's cosine."""
+    limits = [t, segment.t_max - t, s, point.c_L, -dr.dot(point.omega, tri.Ng)]
     if lighting.total_reflection:
-        limits.append([_inside_cosine2(tri, lighting, u0 + h * u, v0 + h * v) for u, v in light_beam.CORNERS])
+        limits.append(1 - (1 - dr.square(point.c_L)) / dr.square(lighting.eta))
     return limits
 
 
-def _inside_cosine2(tri, lighting, u, v):
+def _corner_limits(piece, tri, lighting, segment):
+    """``_limits`` at the corners of a piece, three values each."""
+    t, s, facing, leaving = [], [], [], []
+    for P, omega, uv in zip(piece.P, piece.omega, piece.uv()):
+        t_i, s_i = _meeting(P, omega, segment)
+        t.append(t_i)
+        s.append(s_i)
+        facing.append(dr.dot(tri.n0 + tri.n_u * uv.x + tri.n_v * uv.y, lighting.L - P))
+        leaving.append(-dr.dot(omega, tri.Ng))
+    limits = [t, [segment.t_max - t_i for t_i in t], s, facing, leaving]
+    if lighting.total_reflection:
+        limits.append([_inside_cosine2(tri, lighting, uv) for uv in piece.uv()])
+    return limits
+
+
+def _inside_cosine2(tri, lighting, uv):
     """Square of the refracted ray's cosine; negative where light is totally reflected."""
-    c_L = dr.dot(dr.normalize(lighting.L - tri.position(u, v)), tri.normal(u, v))
+    c_L = dr.dot(dr.normalize(lighting.L - tri.position(uv.x, uv.y)), tri.normal(uv.x, uv.y))
     return 1 - (1 - dr.square(c_L)) / dr.square(lighting.eta)
 
 
 def zeros(pairs, segments, beams, tri, lighting):
-    """``beam.Zeros`` of parts of beams (``pairs`` with codes): bend and twist fall by 4 with every level."""
+    """``beam.Zeros`` of parts of beams (``pairs`` with codes)."""
     x = triangle.gather_numbers(beams.records, pairs.beam, light_beam.BEAM)
-    P, omega, _, _, _ = _piece(x, pairs, tri, lighting)
-    smaller = dr.rcp(mi.Float(1 << (2 * pairs.level)))
-    return light_beam.classify(P, omega, x[18] * smaller, x[19] * smaller, segments.gather(pairs.segment))
+    return _piece(x, pairs, tri, lighting).zeros(segments.gather(pairs.segment))
 
 
 @dataclass
@@ -223,52 +273,72 @@ def accumulate(sums, pairs, segments, beams, records, lighting, accuracy):
     return pairs.gather(dr.compress(cut))
 
 
+def _interval(pairs, chord, ends, tri, lighting, segment, newton):
+    """The interval of the chord to integrate over: all of it, or that of the pairs, whose ends are solved for."""
+    if pairs.tau0 is None:
+        return _clip(ends, mi.Float(0), mi.Float(1))
+    limits = []
+    for tau in (pairs.tau0, pairs.tau1):
+        point, _, _ = _solve(chord, chord.direction(tau), tri, lighting, segment, newton)
+        t, s = _meeting(point.P, point.omega, segment)
+        limits.append(_limits(point, t, s, tri, segment, lighting))
+    return _clip(list(zip(*limits)), pairs.tau0, pairs.tau1)
+
+
 def _accumulate(pairs, sums, segments, beams, records, lighting, accuracy, shadow):
     """One kernel of ``accumulate``. ``shadow(point, s, tri, clear, proven_lit, active) -> (free, open)``; a pair with
     a point that is open is left out, and so is one along which the optical depth changes too much, or that ends
     inside the beam at a place that is not known well enough. Returns which pairs are open, and which must be cut."""
-    index = pairs.segment
-    segment = segments.gather(index)
+    segment = segments.gather(pairs.segment)
     x = triangle.gather_numbers(beams.records, pairs.beam, light_beam.BEAM)
     tri = triangle.gather(records, dr.gather(mi.UInt32, beams.triangles, pairs.beam))
     proven_lit = dr.gather(mi.Bool, beams.proven_lit, pairs.beam)
-    chord = _chord(*_piece(x, pairs, tri, lighting), tri, lighting, segment)
-    A2 = dr.norm(dr.cross(tri.P_u, tri.P_v))
-    sigma_t = segments.sigma_t_of(index)
-    path = dr.abs(chord.path_2 - chord.path_1)
-    change = sigma_t * path * (chord.end - chord.start)
-    may_cut = True if pairs.level is None else pairs.level < tolerances.MAX_SUBDIVISION
-    cut = chord.active & (dr.max(change) > tolerances.DEPTH) & may_cut
+    chord, ends = _chord(_piece(x, pairs, tri, lighting), tri, lighting, segment)
+    interval = _interval(pairs, chord, ends, tri, lighting, segment, accuracy.newton)
+    sigma_t = segments.sigma_t_of(pairs.segment)
+    width = dr.maximum(interval.end - interval.start, 0)
+    change = dr.abs(interval.path[2]) * width * sigma_t
+    may_cut = chord.active & (True if pairs.tau0 is None else pairs.tau1 - pairs.tau0 > tolerances.SHORTEST)
+    cut = may_cut & (dr.max(change) > tolerances.DEPTH)
+    slack = dr.opaque(mi.Float, accuracy.clip) * dr.abs(interval.path[2])
+    scale = chord.scale * dr.norm(dr.cross(tri.P_u, tri.P_v)) * width
     total, resolved, contributes, is_open = mi.Spectrum(0), mi.Bool(True), mi.Bool(False), mi.Bool(False)
     for tau, weight in zip(*tolerances.gauss(accuracy.points)):
-        tau = chord.start + tau * (chord.end - chord.start)
-        D = chord.to_E1 + tau * (chord.to_E2 - chord.to_E1)
-        point, inverse_slope, solved = _solve(chord, D, tri, lighting, segment, accuracy.newton)
+        tau = interval.start + tau * (interval.end - interval.start)
+        point, inverse_slope, solved = _solve(chord, chord.direction(tau), tri, lighting, segment, accuracy.newton)
         t, s = _meeting(point.P, point.omega, segment)
-        curved = dr.abs(t + s - dr.lerp(chord.path_1, chord.path_2, tau)) > dr.opaque(mi.Float, accuracy.clip) * path
-        cut |= chord.unsure & curved & may_cut
-        active = chord.active & ~cut & _valid(point, t, s, tri, segment, lighting)
+        cut |= may_cut & interval.unsure & (dr.abs(t + s - interval.path_at(tau)) > slack)
+        active = chord.active & ~cut & (width > 0)
+        for limit in _limits(point, t, s, tri, segment, lighting):
+            active &= limit > 0
         free, undecided = shadow(point, s, tri, x[23], proven_lit, active)
         is_open |= active & undecided
         active &= free
-        measure = optics.transmission(point.c_L, point.c_V, lighting.eta) * dr.abs(dr.dot(point.omega, tri.Ng))
-        value = weight * chord.scale * A2 * measure * inverse_slope / dr.square(point.d_L)
-        value *= _phase(lighting, -dr.dot(point.omega, segment.d))
+        value = weight * scale * inverse_slope * _integrand(point, tri, lighting, segment)
         finite = dr.isfinite(value)
         resolved &= ~active | (solved & finite)
         contributes |= active
         attenuation = dr.exp(-sigma_t * (t + s))
-        if accuracy.points == 1:  # the mean of the exponential along the chord, relative to its middle
+        if accuracy.points == 1:  # the mean of the exponential along the interval, relative to its middle
             attenuation *= _sinhc(0.5 * change)
         total += dr.select(active & finite, value * attenuation, 0)
     is_open &= ~cut
-    contributes &= ~(is_open | cut)
+    _add(sums, pairs.segment, total, contributes & ~(is_open | cut), resolved)
+    dr.eval(is_open, cut, sums.value, sums.contributions, sums.unresolved)
+    return is_open, cut
+
+
+def _add(sums, index, total, contributes, resolved):
     dr.scatter_add(sums.value, total, index, contributes)
     if sums.contributions is not None:
         dr.scatter_add(sums.contributions, mi.Float(1), index, contributes)
         dr.scatter_add(sums.unresolved, mi.Float(1), index, contributes & ~resolved)
-    dr.eval(is_open, cut, sums.value, sums.contributions, sums.unresolved)
-    return is_open, cut
+
+
+def _integrand(point, tri, lighting, segment):
+    """What stands before the attenuation, per area in (u, v) and divided by A2: T |omega . Ng| p / d_L^2."""
+    measure = optics.transmission(point.c_L, point.c_V, lighting.eta) * dr.abs(dr.dot(point.omega, tri.Ng))
+    return measure * _phase(lighting, -dr.dot(point.omega, segment.d)) / dr.square(point.d_L)
 
 
 def _sinhc(x):
@@ -278,29 +348,23 @@ def _sinhc(x):
 
 
 def _solve(chord, D, tri, lighting, segment, newton):
-    """The root of g on the ray from A along D, starting at the chord (lambda = 1).
+    """The root of g on the ray from M along D, starting at the chord (lambda = 1).
 
     Returns the point there, lambda / |dg/dlambda|, and whether it was found. Where Newton's method leaves the
     neighbourhood or the curve turns back (a fold) the value of the linear beam stands in.
     """
-    uv = chord.A + D
+    uv = chord.M + D
     lam = mi.Float(1)
     for _ in range(newton):
         point = _evaluate(tri, lighting, segment, uv.x, uv.y, D.x, D.y)
-        step = point.g / dr.select(point.slope == 0, -chord.g_A, point.slope)
+        step = point.g / dr.select(point.slope == 0, -chord.g_M, point.slope)
         lam = dr.clip(lam - step, 0, tolerances.OVERSHOOT)
-        uv = chord.A + lam * D
+        uv = chord.M + lam * D
     point = _evaluate(tri, lighting, segment, uv.x, uv.y, D.x, D.y)
-    steepness = -point.slope * dr.sign(chord.g_A)
-    linear = dr.maximum(dr.abs(chord.g_A), 1e-30)
+    steepness = -point.slope * dr.sign(chord.g_M)
+    linear = dr.maximum(dr.abs(chord.g_M), 1e-30)
     solved = (steepness > tolerances.SLOPE * linear) & (lam < tolerances.OVERSHOOT)
     return point, dr.select(solved, lam / dr.select(solved, steepness, 1), dr.rcp(linear)), solved
-
-
-def _valid(point, t, s, tri, segment, lighting):
-    """Where light refracts in at P and meets the segment. Within half a unit of rounding of the chord's clip."""
-    active = (point.c_L > 0) & (dr.dot(point.omega, tri.Ng) < 0) & (s > 0) & (t > 0) & (t < segment.t_max)
-    return active & (point.c_V > 0) if lighting.total_reflection else active
 
 
 def _phase(lighting, cosine):

@@ -10,7 +10,7 @@ from ..estimators import curve
 from ..scene import read
 from ..wavefront import Segments
 
-NESTED_WITH_MEDIA = ("VolumetricPathIntegrator", "VolumetricMisPathIntegrator", "PRBVolpathIntegrator")
+NESTED_WITH_MEDIA = ("VolumetricPathIntegrator", "VolpathMisIntegratorImpl", "PRBVolpathIntegrator")
 
 
 class RefscatterIntegrator(mi.SamplingIntegrator):
@@ -52,7 +52,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         super().__init__(props)
         platform.require_usable(mi.variant())
         self.options = options.read(props)
-        self.nested = _nested(props)
+        self.nested = _nested(props, self.hide_emitters)
         self.progress = None
         self.counts = wavefront.Counts()
 
@@ -180,12 +180,16 @@ def seed_from(sampler):
     return int(float(x[0]) * 2**31)
 
 
-def _nested(props):
-    nested = [props[name] for name in props.keys() if isinstance(props[name], mi.Integrator)]
+def _nested(props, hide_emitters):
+    """The nested integrator, or the default one."""
+    objects = [props[name] for name in props.keys() if props.type(name) == mi.Properties.Type.Object]
+    nested = [x for x in objects if isinstance(x, mi.Integrator)]
     if len(nested) > 1:
         raise options.OptionError("refscatter: more than one nested integrator is given: give one")
     if not nested:
-        return mi.load_dict({"type": "path"})
-    if nested[0].class_name() in NESTED_WITH_MEDIA or type(nested[0]).__name__ in NESTED_WITH_MEDIA:
+        return mi.load_dict({"type": "path", "hide_emitters": hide_emitters})
+    if not isinstance(nested[0], mi.SamplingIntegrator):
+        raise options.OptionError("refscatter: the nested integrator does not work along rays: use path")
+    if {nested[0].class_name(), type(nested[0]).__name__} & set(NESTED_WITH_MEDIA):
         raise options.OptionError("refscatter: the nested integrator samples media, which would count scattering twice: use path")
     return nested[0]

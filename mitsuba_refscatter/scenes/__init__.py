@@ -1,0 +1,56 @@
+"""Bodies and scenes made by code: ``write_scene("bumpy_sphere", "out", triangles=1280)``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .bodies import bumpy_sphere, rounded_cube, sphere
+from .branches import branches
+from .ply import write_ply
+from .templates import SCENES
+
+__all__ = ["BODIES", "SCENES", "BodyError", "make_body", "scene_names", "write_ply", "write_scene"]
+
+BODIES = {
+    "bumpy_sphere": bumpy_sphere,
+    "sphere": sphere,
+    "rounded_cube": rounded_cube,
+    "branches": branches,
+}
+
+
+class BodyError(ValueError):
+    """A body that cannot be made, and why."""
+
+
+MAX_TRIANGLES = 20_000_000  # indices and memory stay harmless; a typing error does not
+
+
+def scene_names() -> list[str]:
+    """Return the names that ``write_scene`` and ``make_body`` take."""
+    return list(SCENES)
+
+
+def make_body(name: str, triangles: int | None = None):
+    """Return ``(vertices, faces, normals)`` of a body, with about ``triangles`` triangles."""
+    if name not in BODIES:
+        raise BodyError(f"there is no scene '{name}': choose one of {', '.join(BODIES)}")
+    wanted = SCENES[name].triangles if triangles is None else triangles
+    if not 1 <= wanted <= MAX_TRIANGLES:
+        raise BodyError(f"{wanted} triangles asked for: give a number from 1 to {MAX_TRIANGLES}")
+    try:
+        return BODIES[name](wanted)
+    except ValueError as error:
+        raise BodyError(str(error)) from error
+
+
+def write_scene(name: str, directory, triangles: int | None = None) -> tuple[Path, int]:
+    """Write ``directory/scene.xml`` and its mesh; return the XML's path and the triangle count."""
+    vertices, faces, normals = make_body(name, triangles)
+    directory = Path(directory)
+    (directory / "meshes").mkdir(parents=True, exist_ok=True)
+    comment = f"{name}, {len(faces)} triangles, written by: refscatter scenes"
+    write_ply(directory / "meshes" / f"{name}.ply", vertices, faces, normals, comment)
+    path = directory / "scene.xml"
+    path.write_text(SCENES[name].xml(name, len(faces)), encoding="utf-8")
+    return path, len(faces)

@@ -1,0 +1,392 @@
+"""Ground truth in float64 NumPy: single scattering inside refractive triangle meshes, point lights.
+
+From DESIGN.md sections 2 and 5 alone; shares no code with the package.  World space, one length
+unit; sigma_s, sigma_t in 1/length, intensity in W/sr, radiance in W/(m^2 sr).  C colour channels, a
+scalar counts as C = 1.  Directions are unit vectors.  eta = n_in / n_out; at 1 facet normals hold.
+All surfaces on P-L and P-V shadow.  Not modelled: nested bodies, lights inside, light-side bounces.
+"""
+from collections import namedtuple
+
+import numpy as np
+from meshes import (BoxTree, Mesh, bisect, dot, fresnel_reflectance, interface, make_patches,
+                    may_vanish, norm, panels, quarter, switches, take, triangle_grid, within)
+
+GRID_BATCH = 1 << 23   # values of g held at once (memory)
+ROUGH = 0.05           # relative change of grad g along a chord above which its triangle is split
+SPAN = 1 / 256         # the same for the part of a camera segment that one chord sees
+COARSE = 1 / 12        # side in (u,v) of the micro triangles above which none is clipped away
+MAX_SPLITS = 6         # such splits at most; then the mean slope of the chord's ends stands in
+NEGLIGIBLE = 1e-12     # a branch of the camera path that carries less weight is not followed
+
+# A mesh filled with a homogeneous medium: sigma_s, sigma_t (C,); g of Henyey-Greenstein.
+Body = namedtuple("Body", "mesh eta sigma_s sigma_t g", defaults=(0.0,))
+
+
+def phase(g, cosine):
+    """Henyey-Greenstein phase function in 1/sr; cosine = +1 is forward; g = 0 is isotropic."""
+    return (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
+
+
+# ---- The curve form (DESIGN section 2) ------------------------------------------------------
+# Light refracted at (u,v), (...,3) and (...,1): w_l = omega_L, length = |N|, radicand = c_V^2.
+LightRay = namedtuple("LightRay", "point n omega w_l length d_l c_l radicand c_v")
+
+
+def light_ray(patch, uv, light, eta):
+    """Snell's law at uv (...,2); under total reflection c_V is held at 0 (callers clip)."""
+    u, v = uv[..., :1], uv[..., 1:]
+    point = patch.p + u * patch.e1 + v * patch.e2
+    normal = patch.n + u * patch.m1 + v * patch.m2
+    length, to_light = norm(normal), light - point
+    d_l = norm(to_light)
+    n, w_l = normal / length, to_light / d_l
+    c_l = dot(w_l, n)
+    radicand = 1 - (1 - c_l ** 2) / eta ** 2
+    c_v = np.sqrt(np.maximum(radicand, 0))
+    omega = -w_l / eta + n * (c_l / eta - c_v)
+    return LightRay(point, n, omega, w_l, length, d_l, c_l, radicand, c_v)
+
+
+def light_slopes(patch, x, eta):
+    """Derivatives of omega in u and in v, (...,3) each, of the LightRay x."""
+    slopes = []
+    for e, m in ((patch.e1, patch.m1), (patch.e2, patch.m2)):
+        dw_l = (x.w_l * dot(x.w_l, e) - e) / x.d_l
+        dn = (m - x.n * dot(x.n, m)) / x.length
+        dc_l = dot(dw_l, x.n) + dot(x.w_l, dn)
+        dc_v = np.where(x.c_v > 0, x.c_l * dc_l / (eta ** 2 * np.where(x.c_v > 0, x.c_v, 1)), 0)
+        slopes.append(-dw_l / eta + dn * (x.c_l / eta - x.c_v) + x.n * (dc_l / eta - dc_v))
+    return slopes
+
+
+def beam_gap(patch, uv, light, eta, o, d):
+    """g = (P - o).(d x omega), (n,), and its gradient in (u,v), (n,2), at uv (n,2)."""
+    x = light_ray(patch, uv, light, eta)
+    across, away = np.cross(d, x.omega), x.point - o
+    gradient = [dot(e, across) + dot(away, np.cross(d, slope)) for e, slope in
+                zip((patch.e1, patch.e2), light_slopes(patch, x, eta))]
+    return dot(away, across)[:, 0], np.hstack(gradient)
+
+
+def _candidates(uv, radicand, g, g_u, g_v, reach):
+    """Whether to look for g = 0 on micro triangles; all but reach are three corners' arrays.
+
+    Beside `may_vanish`: at the critical angle c_V = sqrt(radicand) moves g by up to |P - o|."""
+    swing = np.sqrt(np.maximum(np.max(radicand, 0), 0)) * (np.min(radicand, 0) <= 0) * reach
+    return may_vanish(uv, g, g_u, g_v) | (np.minimum.reduce([np.abs(x) for x in g]) < swing)
+
+
+def meeting(x, o, d):
+    """t |d x omega|^2, s |d x omega|^2 and |d x omega|^2, (n,1) each, of a LightRay and a line."""
+    across, away = np.cross(d, x.omega), x.point - o
+    return dot(np.cross(away, x.omega), across), dot(np.cross(away, d), across), dot(across, across)
+
+
+def _cut(patch, uv, g, light, eta, o, d):
+    """Where g = 0 on two edges of micro triangles uv (n,3,2), g (n,3): [uv (n,2), grad g] twice.
+
+    Exact, not interpolated: neighbours that are cut to different depths must agree on it."""
+    positive, i, ends = g > 0, np.arange(len(g)), []
+    odd = np.argmax(positive == (positive.sum(1) == 1)[:, None], axis=1)   # the lone sign
+    for k in ((odd + 1) % 3, (odd + 2) % 3):
+        start, edge, value = uv[i, odd], uv[i, k] - uv[i, odd], g[i, odd]
+        lo, hi, x = np.zeros(len(g)), np.ones(len(g)), value / (value - g[i, k])
+        for _ in range(5):                 # Newton, bisection where it leaves the bracket
+            gap, gradient = beam_gap(patch, start + x[:, None] * edge, light, eta, o, d)
+            before = (gap > 0) == (value > 0)
+            lo, hi = np.where(before, x, lo), np.where(before, hi, x)
+            slope = (gradient * edge).sum(1)
+            newton = x - gap / np.where(slope == 0, 1e-300, slope)
+            inside = np.abs(newton - (lo + hi) / 2) < (hi - lo) / 2 + 1e-9
+            x = np.where(inside, newton, (lo + hi) / 2)
+        ends.append([start + x[:, None] * edge, gradient])
+    return ends
+
+
+def _clip(patch, a, b, light, eta, o, d, t_max):
+    """Part lo..hi of the chords a..b (n,2) where s, t, t_max - t, both cosines and c_V^2 are > 0;
+    hi < 0: none.  Also the share of the segment seen.  s, t times |d x omega|^2 stay smooth."""
+    lo, hi, sides, reach = np.zeros((len(a), 1)), np.ones((len(a), 1)), [], []
+    for uv in (a, b):
+        x = light_ray(patch, uv, light, eta)
+        t, s, scale = meeting(x, o, d)
+        sides.append((t, s, t_max[:, None] * scale - t, x.c_l, x.radicand, -dot(x.omega, patch.ng)))
+        reach.append(np.clip(t / np.maximum(scale, 1e-300), 0, t_max[:, None]))
+    for start, end in zip(*sides):
+        root = start / np.where(start == end, 1, start - end)
+        lo = np.where((start <= 0) & (end > 0), np.maximum(lo, root), lo)
+        hi = np.where((start > 0) & (end <= 0), np.minimum(hi, root), hi)
+        hi = np.where((start <= 0) & (end <= 0), -1, hi)
+    return lo, hi, np.abs(reach[1] - reach[0]) / t_max[:, None]
+
+
+def _curve(patches, ray, tri, uv, g, light, eta, o, d, t_max):
+    """Pieces of g = 0: list of (ray (m,), tri (m,), uv (m,2) middle and both ends, dl/|grad g|).
+
+    Starts from micro triangles uv (n,3,2) with g (n,3) at their corners.  Where the curve stays
+    in one and grad g changes little, the chord stands for it; else the triangle is quartered."""
+    found = []
+    for depth in range(MAX_SPLITS + 1):
+        cut = (g > 0).any(1) & (g <= 0).any(1)
+        rest = [x[~cut] for x in (ray, tri, uv)]
+        ray, tri, uv, g = (x[cut] for x in (ray, tri, uv, g))
+        patch, origin, along = take(patches, tri), o[ray], d[ray]
+        (a, slope_a), (b, slope_b) = _cut(patch, uv, g, light, eta, origin, along)
+        lo, hi, span = _clip(patch, a, b, light, eta, origin, along, t_max[ray])
+        keep = ((hi > 0) | (norm(uv[:, 1] - uv[:, 0]) > COARSE))[:, 0]
+        ray, tri, uv, a, b, slope_a, slope_b, lo, hi, span = (
+            x[keep] for x in (ray, tri, uv, a, b, slope_a, slope_b, lo, hi, span))
+        patch, origin, along = take(patches, tri), o[ray], d[ray]
+        size, point = norm(uv[:, 1] - uv[:, 0]), a + (lo + hi) / 2 * (b - a)
+        for _ in range(2):                 # Newton along grad g, not far
+            value, gradient = beam_gap(patch, point, light, eta, origin, along)
+            step = value[:, None] * gradient / np.maximum(dot(gradient, gradient), 1e-300)
+            point = point - step * np.minimum(1, size / np.maximum(norm(step), 1e-300))
+        inside, point = within(uv, point), np.maximum(point, 0)
+        point = point / np.maximum(1, point.sum(1, keepdims=True))
+        gradient = beam_gap(patch, point, light, eta, origin, along)[1]
+        change = norm(slope_b - slope_a) + norm(slope_b + slope_a - 2 * gradient)
+        rough = change > ROUGH * norm(gradient)
+        slope = np.where(rough, (norm(slope_a) + norm(slope_b)) / 2, norm(gradient))
+        weight = norm(b - a) * np.maximum(hi - lo, 0) / slope
+        done = inside & ~(rough | (lo > 0) | (hi < 1) | (span > SPAN))[:, 0] | (depth == MAX_SPLITS)
+        a, b = a + lo * (b - a), a + hi * (b - a)
+        found.append([x[done] for x in (ray, tri, point, a, b, weight)])
+        rest = [np.concatenate([x[~done], y]) for x, y in zip((ray, tri, uv), rest)]
+        if depth < MAX_SPLITS:
+            ray, tri, uv, g = _quarter(patches, *rest, light, eta, o, d)
+    return found
+
+
+def _quarter(patches, ray, tri, uv, light, eta, o, d):
+    """Cut micro triangles uv (n,3,2) in four; keep those on which g may vanish, with its values."""
+    ray, tri, uv = np.tile(ray, 4), np.tile(tri, 4), quarter(uv)
+    patch = take(patches, tri)
+    g, gradient = zip(*[beam_gap(patch, uv[:, k], light, eta, o[ray], d[ray]) for k in range(3)])
+    radicand = [light_ray(patch, uv[:, k], light, eta).radicand[:, 0] for k in range(3)]
+    reach = norm(patch.p - o[ray])[:, 0] + norm(patch.e1)[:, 0] + norm(patch.e2)[:, 0]
+    keep = _candidates(uv.swapaxes(0, 1), radicand, g, *np.moveaxis(gradient, 2, 0), reach)
+    return ray[keep], tri[keep], uv[keep], np.stack(g, 1)[keep]
+
+
+def segment_radiance(mesh, eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max,
+                     subdivisions=8, occluders=()):
+    """Single scattering along camera segments inside a body, (n,C), by the curve form.
+
+    o, d (n,3), t_max (n,): segments o + t d, 0 < t < t_max, in the body that `mesh` bounds.
+    sigma_s, sigma_t, light_intensity: scalars or (C,); g: Henyey-Greenstein asymmetry.
+    Lit triangles are cut in subdivisions^2 to begin with.  occluders: more meshes that shadow."""
+    centre = mesh.corners.reshape(-1, 3).mean(0)          # keeps Pluecker products accurate
+    move = [Mesh(m.vertices - centre, m.faces, m.normals) for m in (mesh, *occluders)]
+    light, o, d, t_max = light_position - centre, o - centre, np.asarray(d), np.asarray(t_max)
+    tree, patches, found = BoxTree(move), make_patches(move[0], eta), []
+    colours = [np.atleast_1d(np.asarray(x, float)) for x in (sigma_s, sigma_t, light_intensity)]
+    total = np.zeros((len(o), max(map(len, colours))))
+    lit = np.flatnonzero(dot(light - patches.p, patches.ng) > 0)
+    grid, micro = triangle_grid(subdivisions)
+    some, reach = take(patches, lit[:, None]), 2 * norm(move[0].vertices).max()
+    x = light_ray(some, grid, light, eta)
+    lines = [np.concatenate([np.cross(x.omega, x.point), -x.omega], -1)]
+    lines += [np.concatenate([np.cross(slope, x.point) + np.cross(x.omega, e), -slope], -1)
+              for e, slope in zip((some.e1, some.e2), light_slopes(some, x, eta))]
+    batch = max(1, GRID_BATCH // max(1, lines[0].size))
+    for first in range(0, len(o), batch):                 # g, g_u, g_v as 6-D Pluecker products
+        camera = np.hstack([d, np.cross(o, d)])[first:first + batch].T
+        values = [np.moveaxis(line @ camera, 2, 0) for line in lines]
+        ray, tri, cell = np.nonzero(_candidates(
+            grid[micro.T], [x.radicand[:, corner, 0] for corner in micro.T],
+            *([v[..., corner] for corner in micro.T] for v in values), reach))
+        found += _curve(patches, ray + first, lit[tri], grid[micro[cell]],
+                        values[0][ray[:, None], tri[:, None], micro[cell]], light, eta, o, d, t_max)
+    for ray, tri, uv, a, b, weight in found:
+        patch, segment = take(patches, tri), (o[ray], d[ray], t_max[ray, None])
+        weight = weight * _lit_share(patch, tri, a, b, eta, light, segment, tree)
+        np.add.at(total, ray, weight * _integrand(patch, uv, eta, colours, g, light, segment))
+    return total
+
+
+def _lit_share(patch, tri, a, b, eta, light, segment, tree):
+    """Share of the chords a..b (n,2) that nothing shadows, (n,1); one change is bisected."""
+    def visible(uv, k):
+        x, (o, d, t_max) = light_ray(take(patch, k), uv, light, eta), (y[k] for y in segment)
+        t, _, scale = meeting(x, o, d)
+        v = o + d * np.clip(t / np.maximum(scale, 1e-300), 0, t_max)
+        free = tree.clear(x.point, np.broadcast_to(light, v.shape), tri[k])
+        free[free] = tree.clear(x.point[free], v[free], tri[k][free])
+        return free
+
+    first, last = (visible(x, np.arange(len(a))) for x in (a, b))
+    share, k = (first & last) * 1.0, np.flatnonzero(first != last)
+    x = bisect(lambda x: visible(a[k] + x[:, None] * (b - a)[k], k) == first[k],
+               np.zeros(len(k)), np.ones(len(k)), 12)
+    share[k] = np.where(first[k], x, 1 - x)
+    return share[:, None]
+
+
+def _integrand(patch, uv, eta, colours, g, light, segment):
+    """I T A2 |omega.Ng| / d_L^2 sigma_s p exp(-sigma_t (t + s)), (m,C), at uv (m,2)."""
+    x, (o, d, t_max) = light_ray(patch, uv, light, eta), segment
+    t, s, scale = meeting(x, o, d)
+    t, s = np.clip(t / scale, 0, t_max), np.maximum(s / scale, 0)
+    c_l, c_v = np.maximum(x.c_l, 0), x.c_v                # below: T = (1 - F) c_L / c_V
+    transmitted = 2 * eta * c_l ** 2 * (1 / (c_l + eta * c_v) ** 2 + 1 / (eta * c_l + c_v) ** 2)
+    flux = transmitted * patch.area2 * np.abs(dot(x.omega, patch.ng)) / x.d_l ** 2
+    sigma_s, sigma_t, intensity = colours
+    value = flux * phase(g, -dot(x.omega, d)) * sigma_s * intensity * np.exp(-sigma_t * (t + s))
+    if not np.isfinite(value).all():
+        raise FloatingPointError("non-finite radiance")
+    return value
+
+
+# ---- Camera paths; interior legs: ray, body, t_max (m,); o, d (m,3); weight (m,C) -----------
+Segments = namedtuple("Segments", "ray body o d t_max weight")
+
+
+def camera_segments(bodies, o, d, internal_bounces, opaque=()):
+    """Every interior segment that n camera rays (o, d (n,3), outside all bodies) reach.
+
+    A tree that ends where reflections seen from inside, or hits from outside after the first,
+    exceed internal_bounces.  weight: product of F, (1 - F) eta^-+2 and the earlier exp(-sigma_t T).
+    The shading normal is used for Snell and Fresnel; Ng decides on which side a new ray runs."""
+    tree = BoxTree([b.mesh for b in bodies] + list(opaque))
+    normals = np.concatenate([b.mesh.corner_normals(b.eta) for b in bodies])
+    ng = np.concatenate([b.mesh.facet_normals for b in bodies])
+    eta = np.array([b.eta for b in bodies])
+    sigma_t = np.stack(np.broadcast_arrays(*[np.atleast_1d(b.sigma_t) for b in bodies]))
+    n, segments = len(o), []
+    state = [np.arange(n), np.asarray(o), np.asarray(d), np.full(n, -1), np.full(n, -1),
+             np.zeros(n, int), np.zeros(n, int), np.ones((n, sigma_t.shape[1]))]
+    while len(state[0]):
+        index, tri, t, u, v = tree.closest(state[1], state[2], state[4])
+        ray, o, d, body, _, inner, outer, weight = (x[index] for x in state)
+        inside = body >= 0
+        segments.append([x[inside] for x in (ray, body, o, d, t[:, 0], weight)])
+        weight = np.where(inside[:, None], weight * np.exp(-sigma_t[body] * t), weight)
+        hit = np.searchsorted(tree.first, tri, side="right") - 1      # index of the mesh
+        on = np.where(inside, hit == body, (hit < len(bodies)) & (outer <= internal_bounces))
+        ray, end, d, inside, inner, outer, weight, hit, tri, u, v = (
+            x[on] for x in (ray, o + t * d, d, inside, inner, outer, weight, hit, tri, u, v))
+        n0, n1, n2 = normals[tri].transpose(1, 0, 2)
+        normal = n0 + u * (n1 - n0) + v * (n2 - n0)
+        fresnel, reflected, refracted, scale = interface(d, normal / norm(normal), eta[hit, None])
+        branches = []
+        for direction, factor, bounces in ((reflected, fresnel, inner + inside),
+                                           (refracted, (1 - fresnel) * scale, inner)):
+            side = np.where(dot(direction, ng[tri])[:, 0] < 0, hit, -1)
+            keep = (bounces <= internal_bounces) & ((weight * factor).max(1) > NEGLIGIBLE)
+            branches.append([x[keep] for x in (ray, end, direction, side, tri, bounces,
+                                               outer + ~inside, weight * factor)])
+        state = [np.concatenate(x) for x in zip(*branches)]
+    return Segments(*(np.concatenate(x) for x in zip(*segments)))
+
+
+def camera_radiance(bodies, lights, o, d, internal_bounces, subdivisions=8, opaque=()):
+    """Single scattering that arrives along camera rays o, d (n,3) from outside all bodies, (n,C).
+
+    bodies: list of Body; lights: list of (position (3,), intensity (C,)); opaque: list of Mesh,
+    which end paths and cast shadows.  Paths as in `camera_segments`."""
+    legs, total = camera_segments(bodies, o, d, internal_bounces, opaque), np.zeros((len(o), 1))
+    for k, body in enumerate(bodies):
+        mine = Segments(*(x[legs.body == k] for x in legs))
+        others = [b.mesh for b in bodies if b is not body] + list(opaque)
+        for position, intensity in lights:
+            value = mine.weight * segment_radiance(
+                body.mesh, body.eta, body.sigma_s, body.sigma_t, body.g, position, intensity,
+                mine.o, mine.d, mine.t_max, subdivisions, others)
+            total = total + np.stack([np.bincount(mine.ray, v, len(o)) for v in value.T], 1)
+    return total
+
+
+# ---- Closed forms (DESIGN section 5); all return (n,C) --------------------------------------
+
+
+def straight_line_radiance(mesh, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max,
+                           steps=512):
+    """eta = 1: quadrature over t, lit where V -> light crosses the mesh exactly once."""
+    tree, total = BoxTree([mesh]), []
+
+    def crossings(o, d, t):
+        point = o + t[:, None] * d
+        length = norm(light_position - point)
+        to_light = (light_position - point) / length
+        ray, _, tuv = tree.hits(point, to_light, length[:, 0], np.full(len(t), -1))
+        count, depth = np.bincount(ray, minlength=len(t)), np.bincount(ray, tuv[:, 0], len(t))
+        return count, depth, length, to_light
+
+    for o, d, edges in zip(o, d, np.multiply.outer(t_max, np.linspace(0, 1, steps + 1))):
+        jumps = switches(lambda t: crossings(o, d, t)[0][None], (edges[1:] + edges[:-1]) / 2)
+        t, w = panels(np.sort(np.concatenate([edges, jumps])), 3)
+        count, depth, length, to_light = crossings(o, d, t)
+        value = (w * (count == 1))[:, None] * phase(g, dot(to_light, d)) / length ** 2
+        total.append((value * np.exp(-np.multiply(sigma_t, (t + depth)[:, None]))).sum(0))
+    return np.array(total) * sigma_s * light_intensity
+
+
+def plane_radiance(eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max,
+                   steps=32):
+    """Medium below z = 0, light above: quadrature over t of the point form with the flat D."""
+    t, w = (t_max[:, None] * x for x in panels(np.linspace(0, 1, steps + 1), 16))
+    point = o[:, None] + t[..., None] * d[:, None]
+    along, (h_l, h_v) = point[..., :2] - light_position[:2], (light_position[2], -point[..., 2])
+    rho = norm(along)[..., 0]
+    lo, hi = np.zeros_like(rho), rho
+    for _ in range(60):                    # distance of P from the light's foot
+        x = (lo + hi) / 2
+        short = x / np.hypot(x, h_l) < eta * (rho - x) / np.hypot(rho - x, h_v)
+        lo, hi = np.where(short, x, lo), np.where(short, hi, x)
+    d_l, d_v = np.hypot(x, h_l), np.hypot(rho - x, h_v)
+    c_l, c_v = h_l / d_l, h_v / d_v
+    big_d = (d_v + eta * d_l) * (c_l / c_v * d_v + c_v / c_l * eta * d_l)
+    level = (along * d[:, None, :2]).sum(-1) / np.maximum(rho, 1e-300) * (rho - x) / d_v
+    w = w * (1 - fresnel_reflectance(c_l, c_v, eta)) * eta ** 2 / big_d * phase(g, c_v * d[:, 2:] - level)
+    w = w[..., None] * np.exp(-np.multiply(sigma_t, (t + d_v)[..., None]))
+    return w.sum(1) * sigma_s * light_intensity
+
+
+def sphere_radiance(radius, eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max,
+                    scan=20001):
+    """Exact sphere about the origin: quadrature over phi, the angle at the centre from light to P.
+
+    Its light is a cone about that axis, a quadratic in t; nodes crowd where roots begin or end."""
+    far = np.linalg.norm(light_position)
+    axis, phi_max, total = np.asarray(light_position) / far, np.arccos(radius / far), []
+
+    @np.errstate(divide="ignore", invalid="ignore")       # lanes without a root are masked
+    def roots(phi, o, d, t_max):
+        """Whether light of phi (m,) meets the line, t + s, dL/dphi / (sigma_s I): (2,m) each."""
+        sine, cosine = np.sin(phi), np.cos(phi)
+        d_l = np.hypot(radius * sine, far - radius * cosine)
+        c_l = (far * cosine - radius) / d_l
+        radicand = 1 - (1 - c_l ** 2) / eta ** 2
+        c_v = np.sqrt(np.maximum(radicand, 0))
+        bend = c_l / eta - c_v
+        w_r = radius * sine / (eta * d_l) + bend * sine
+        w_z = (radius * cosine - far) / (eta * d_l) + bend * cosine
+        alpha, beta = radius * sine * w_z + (o @ axis - radius * cosine) * w_r, d @ axis * w_r
+        a = beta ** 2 - w_z ** 2 * (1 - (d @ axis) ** 2)  # (alpha + beta t)^2 = (w_z rho(t))^2
+        b = alpha * beta - w_z ** 2 * (o @ d - (o @ axis) * (d @ axis))
+        c = alpha ** 2 - w_z ** 2 * (o @ o - (o @ axis) ** 2)
+        q = -(b + np.where(b > 0, 1, -1) * np.sqrt(np.maximum(b * b - a * c, 0)))
+        t = np.stack([q / a, c / q])
+        point = o + t[..., None] * d
+        z = point @ axis
+        s = (z - radius * cosine) / w_z
+        real = (b * b > a * c) & (radicand > 0) & (t > 0) & (t < t_max) & (s > 0)
+        outward = (point - z[..., None] * axis) / ((alpha + beta * t) / w_z)[..., None]
+        omega = w_r[:, None] * outward + w_z[:, None] * axis
+        volume = np.abs(dot(np.cross(omega, np.cross(axis, point)), d)[..., 0])  # axis x V: dV/dpsi
+        flux = c_l * (1 - fresnel_reflectance(c_l, c_v, eta)) * radius ** 2 * sine / d_l ** 2
+        value = flux * phase(g, -(omega @ d)) / volume
+        return real, np.where(real, t + s, 0), np.where(real, value, 0)
+
+    for line in zip(o, d, t_max):
+        phi = phi_max * (np.arange(scan) + 0.5) / scan
+        ends = np.concatenate([[0], switches(lambda x: roots(x, *line)[0], phi), [phi_max]])
+        x, w = panels(np.linspace(-1, 1, 17), 12)
+        half = np.diff(ends)[:, None] / 2
+        phi = (ends[:-1, None] + half * (1 + np.sin(np.pi / 2 * x))).ravel()
+        w = (half * np.pi / 2 * np.cos(np.pi / 2 * x) * w).ravel()
+        _, path, value = roots(phi, *line)
+        path = np.exp(-np.multiply(sigma_t, path[..., None]))
+        total.append(((w * value)[..., None] * path).sum((0, 1)))
+    return np.array(total) * sigma_s * light_intensity

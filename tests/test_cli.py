@@ -1,0 +1,179 @@
+"""The command, run as a user runs it."""
+
+import os
+import re
+import signal
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import mitsuba as mi
+import pytest
+
+from mitsuba_refscatter import platform
+
+ROOT = Path(__file__).parent.parent
+SPHERE = ROOT / "scenes" / "sphere" / "scene.xml"
+ENVIRONMENT = {**os.environ, "COLUMNS": "200", "PYTHONPATH": str(ROOT)}
+COMMAND = [sys.executable, "-m", "mitsuba_refscatter"]
+
+needs_variant = pytest.mark.skipif(
+    all(platform.problem_of(v) for v in platform.PREFERRED), reason="no variant can render on this machine"
+)
+
+
+def refscatter(*arguments, cwd=None, **environment):
+    command = COMMAND + [str(a) for a in arguments]
+    env = {**ENVIRONMENT, **environment}
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd, env=env)
+
+
+def assert_one_sentence(done, *words, code=1):
+    """The command failed with a message of one line that says these words, and no traceback."""
+    assert done.returncode == code, done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.startswith("refscatter: ")]
+    assert len(lines) == 1 and "Traceback" not in done.stderr, done.stderr
+    for word in words:
+        assert word in lines[0], done.stderr
+
+
+def scene_file(folder, body="", version=' version="3.0.0"'):
+    path = Path(folder) / "scene.xml"
+    path.write_text(f"<scene{version}>{body}</scene>")
+    return path
+
+
+@needs_variant
+def test_check_says_what_is_there():
+    done = refscatter("check")
+    assert done.returncode == 0, done.stderr
+    assert mi.__version__ in done.stdout and platform.default_variant() in done.stdout
+    assert "polarisation" in done.stdout and "JIT variant" in done.stdout
+
+
+def test_check_fails_where_nothing_can_render():
+    done = refscatter("check", DRJIT_LIBLLVM_PATH="/nonexistent/libLLVM.so", CUDA_VISIBLE_DEVICES="-1")
+    if platform.gpu_problem() is None and done.returncode == 0:
+        pytest.skip("the GPU of this machine cannot be hidden")
+    assert_one_sentence(done, "nothing can be rendered", "LLVM")
+
+
+def test_render_is_refused_before_mitsuba_touches_llvm(tmp_path):
+    done = refscatter("render", SPHERE, "-m", "llvm_ad_rgb", cwd=tmp_path, DRJIT_LIBLLVM_PATH="/nonexistent/libLLVM.so")
+    assert_one_sentence(done, "llvm_ad_rgb", "LLVM")
+    assert not list(tmp_path.iterdir())
+
+
+def test_scenes_lists_and_writes(tmp_path):
+    listed = refscatter("scenes")
+    assert listed.returncode == 0 and "bumpy_sphere" in listed.stdout and "20480" in listed.stdout
+    written = refscatter("scenes", "sphere", "--triangles", "100", "-o", tmp_path / "here")
+    assert written.returncode == 0 and "(80 triangles)" in written.stdout
+    assert (tmp_path / "here" / "meshes" / "sphere.ply").exists()
+    assert_one_sentence(refscatter("scenes", "nonsense"), "nonsense", "bumpy_sphere")
+    assert_one_sentence(refscatter("scenes", "branches", "--triangles", "10"), "4000")
+    assert refscatter("scenes", "sphere", "--triangles", "none").returncode == 2
+
+
+@needs_variant
+def test_scenes_go_where_files_can_be_made(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert_one_sentence(refscatter("scenes", "sphere", "-o", tmp_path / "file" / "x"), "nothing can be written")
+
+
+BAD_SCENES = [
+    ("<shape", ["Parsing of XML"]),
+    ('<shape type="nonsense"/>', ["nonsense", "not found"]),
+    ('<shape type="sphere"><float name="radios" value="2"/></shape>', ["radios"]),
+    ('<shape type="sphere"><float name="radius" value="x"/></shape>', ["floating point"]),
+    ('<shape type="sphere"><string name="radius" value="x"/></shape>', ["radius", "wrong type"]),
+    ('<shape type="ply"><string name="filename" value="nowhere.ply"/></shape>', ["nowhere.ply", "not found"]),
+    ('<shape type="sphere"/>', ["no sensor"]),
+    ('<integrator type="path"><integer name="max_depth" value="$depth"/></integrator>', ["$depth"]),
+    ('<integrator type="refscatter"><string name="tolerance" value="x"/></integrator>', ["tolerance"]),
+]
+
+
+@needs_variant
+@pytest.mark.parametrize("body, words", BAD_SCENES, ids=[body[1:30] for body, _ in BAD_SCENES])
+def test_a_bad_scene_is_one_sentence(body, words, tmp_path):
+    done = refscatter("render", scene_file(tmp_path, body), "-o", tmp_path / "out.exr")
+    assert_one_sentence(done, *words)
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.xml"]
+
+
+@needs_variant
+def test_a_vertex_index_out_of_range_does_not_end_the_process(tmp_path):
+    header = ("ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+              "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n")  # fmt: skip
+    data = struct.pack("<9f", *range(9)) + struct.pack("<B3i", 3, 0, 1, 9_000_000)
+    (tmp_path / "mesh.ply").write_bytes(header.encode() + data)
+    body = '<default name="m" value="mesh"/><shape type="ply"><string name="filename" value="$m.ply"/></shape>'
+    assert_one_sentence(refscatter("render", scene_file(tmp_path, body)), "mesh.ply", "9000000")
+    text = header.replace("binary_little_endian", "ascii") + "0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n"
+    (tmp_path / "mesh.ply").write_text(text)
+    assert_one_sentence(refscatter("render", scene_file(tmp_path, body)), "mesh.ply", "0, 1, 3")
+
+
+@needs_variant
+def test_usage_errors(tmp_path):
+    assert_one_sentence(refscatter("render", tmp_path / "nowhere.xml"), "nowhere.xml")
+    assert_one_sentence(refscatter("render", SPHERE, "-m", "scalar_rgb", cwd=tmp_path), "needs a JIT variant")
+    assert_one_sentence(refscatter("render", SPHERE, "-D", "nonsense=1", cwd=tmp_path), "nonsense")
+    assert_one_sentence(refscatter("render", SPHERE, "-o", tmp_path), "is a directory")
+    (tmp_path / "file").write_text("")
+    assert_one_sentence(refscatter("render", SPHERE, "-o", tmp_path / "file" / "x.exr"), "nothing can be written")
+    assert refscatter("render", SPHERE, "-D", "nonsense").returncode == 2
+    assert refscatter("render", SPHERE, "-s", "many").returncode == 2
+    assert refscatter("render").returncode == 2
+
+
+@needs_variant
+def test_render_writes_both_pictures_and_says_where(tmp_path):
+    done = refscatter("render", SPHERE, "-D", "res=24", "-s", "2", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["scene.exr", "scene.png"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["scene.exr", "scene.png"]
+    assert mi.Bitmap(str(tmp_path / "scene.exr")).height() == 24
+    quiet = refscatter("render", SPHERE, "-D", "res=24", "-o", "a/b", "--quiet", cwd=tmp_path)
+    assert quiet.returncode == 0 and quiet.stdout == quiet.stderr == ""
+    assert (tmp_path / "a" / "b.exr").exists() and (tmp_path / "a" / "b.png").exists()
+
+
+@needs_variant
+@pytest.mark.parametrize("integrator, replaced", [
+    ('<integrator type="path"/>', True),
+    ("", True),
+    ('<integrator type="moment"><integrator type="refscatter"/></integrator>', False),
+    ('<integrator type="aov"><string name="aovs" value="d:depth"/><integrator type="refscatter"/></integrator>', False),
+], ids=["path", "none", "moment", "aov"])  # fmt: skip
+def test_another_integrator_is_replaced_and_ours_is_kept(integrator, replaced, tmp_path):
+    text = SPHERE.read_text().replace("meshes/", f"{SPHERE.parent}/meshes/")
+    text = text.replace('<default name="surfaces" value="true"/>', "")
+    text = re.sub("<integrator.*</integrator>", integrator, text, flags=re.DOTALL)
+    (tmp_path / "scene.xml").write_text(text)
+    done = refscatter("render", "scene.xml", "-D", "res=16", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert ("rendering with refscatter instead" in done.stderr) == replaced
+
+
+@needs_variant
+def test_interrupting_keeps_the_earlier_picture(tmp_path):
+    (tmp_path / "out.exr").write_bytes(b"earlier")
+    command = COMMAND + ["render", str(SPHERE), "-o", "out.exr", "-s", "256"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, **pipes)
+    assert process.stderr is not None
+    assert "Rendering" in process.stderr.readline()
+    time.sleep(8)  # the first kernels are compiled by then
+    assert process.poll() is None, "the render ended too early to be stopped"
+    process.send_signal(signal.SIGINT)
+    start = time.monotonic()
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 130 and "stopped" in told and "Traceback" not in told
+    # Three seconds are wanted on an idle machine; tests share theirs.
+    assert time.monotonic() - start < 15
+    assert (tmp_path / "out.exr").read_bytes() == b"earlier"
+    assert [p.name for p in tmp_path.iterdir()] == ["out.exr"]

@@ -1,0 +1,202 @@
+"""The plugin inside Mitsuba: film, wrappers, alpha, variants, import orders, refusals."""
+import subprocess
+import sys
+import textwrap
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from comparison import z_values
+from meshes import bumpy_sphere
+
+import mitsuba_refscatter
+from mitsuba_refscatter.scenes import write_ply
+
+VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_spectral")
+
+
+@pytest.fixture(scope="module")
+def body(tmp_path_factory):
+    """A bumpy sphere of 320 triangles in a PLY file."""
+    path, mesh = tmp_path_factory.mktemp("plugin") / "body.ply", bumpy_sphere(2)
+    write_ply(path, mesh.vertices, mesh.faces, mesh.normals)
+    return str(path)
+
+
+def grey(value):
+    return {"type": "rgb", "value": [value] * 3}
+
+
+def scene(body, integrator, width=32, height=24, **film):
+    """A grey body over a grey floor, seen by a film with a gaussian filter, a crop window and 4 samples."""
+    transform = mi.ScalarTransform4f()
+    pixels = "luminance_alpha" if mi.variant() == "llvm_ad_mono" else "rgba"
+    crop = {"crop_offset_x": 5, "crop_offset_y": 3, "crop_width": 20, "crop_height": 14}
+    return mi.load_dict({
+        "type": "scene", "integrator": integrator,
+        "sensor": {
+            "type": "perspective", "fov": 30, "to_world": transform.look_at([0.3, 0.8, 5], [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": width, "height": height, **crop, "rfilter": {"type": "gaussian"},
+                     "component_format": "float32", "pixel_format": pixels, **film},
+            "sampler": {"type": "independent", "sample_count": 4},
+        },
+        "light": {"type": "point", "position": [1.5, 2.5, 0], "intensity": grey(20.0)},
+        "floor": {"type": "rectangle", "bsdf": {"type": "diffuse"},
+                  "to_world": transform.translate([0, -1.1, 0]).rotate([1, 0, 0], -90).scale(2)},
+        "body": {
+            "type": "ply", "filename": body, "bsdf": {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0},
+            "interior": {"type": "homogeneous", "sigma_t": grey(0.7), "albedo": grey(0.8)},
+        },
+    })  # fmt: skip
+
+
+def refscatter(surfaces=False, **properties):
+    return {"type": "refscatter", "surfaces": surfaces, "internal_bounces": 2, **properties}
+
+
+def image(loaded, seed=3, **arguments):
+    return np.array(mi.render(loaded, seed=seed, **arguments))
+
+
+@pytest.mark.parametrize("surfaces", (False, True))
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_same_image_alone_and_as_a_child(variant, surfaces, body):
+    """``aov`` and ``moment`` render through Mitsuba's own film code, with the same camera samples for the same
+    seed.  What differs is the order in which filtered samples are summed: a few roundings of float32."""
+    mi.set_variant(variant)
+    ours = refscatter(surfaces)
+    alone = image(scene(body, ours))
+    inside_aov = image(scene(body, {"type": "aov", "aovs": "distance:depth", "image": ours}))
+    inside_moment = image(scene(body, {"type": "moment", "image": ours}))
+    assert np.isfinite(alone).all()
+    channels = 2 if variant == "llvm_ad_mono" else 4
+    assert alone.shape == (14, 20, channels)
+    brightest = alone[..., :-1].max()
+    assert brightest > 0.01
+    for other in (inside_aov, inside_moment):
+        np.testing.assert_allclose(other[..., :channels], alone, rtol=1e-5, atol=1e-6 * brightest)
+
+
+@pytest.mark.parametrize("surfaces", (False, True))
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_alpha_is_where_the_camera_ray_hits(variant, surfaces, body):
+    """``depth`` reports a hit as its alpha and gets the same camera rays; the floor counts too."""
+    mi.set_variant(variant)
+    alpha = image(scene(body, refscatter(surfaces)))[..., -1]
+    expected = image(scene(body, {"type": "depth"}))[..., -1]
+    assert expected.min() < 0.1 and expected.max() > 0.9
+    np.testing.assert_allclose(alpha, expected, atol=1e-6)
+
+
+def test_alpha_is_zero_or_one_for_one_sample_in_a_box(body):
+    mi.set_variant("llvm_ad_rgb")
+    alpha = image(scene(body, refscatter(), rfilter={"type": "box"}), spp=1)[..., 3]
+    assert set(np.unique(alpha)) == {0.0, 1.0}
+
+
+def test_single_scattering_does_not_depend_on_what_the_nested_integrator_draws(body):
+    """The single-scattering part of an image is a function of the camera samples alone."""
+    mi.set_variant("llvm_ad_rgb")
+    names = "single_scatter, surfaces, candidates, contributions, unresolved"
+    both = image(scene(body, refscatter(True, aovs=names), pixel_format="rgb"))
+    only = image(scene(body, refscatter(False, aovs=names), pixel_format="rgb"))
+    scattered, surfaces = both[..., 3:6], both[..., 6:9]
+    largest = both[..., :3].max()
+    np.testing.assert_allclose(scattered + surfaces, both[..., :3], rtol=1e-5, atol=1e-6 * largest)
+    np.testing.assert_allclose(only[..., :3], only[..., 3:6], rtol=1e-5, atol=1e-6 * largest)
+    np.testing.assert_allclose(only[..., 6:9], 0)
+    # Legs that leave the body are not followed where nothing can scatter behind them: weights stay the same.
+    np.testing.assert_allclose(scattered, only[..., :3], rtol=1e-4, atol=1e-5 * largest)
+    assert (both[..., 9] >= both[..., 10]).all() and both[..., 10].max() > 1
+    assert both[..., 11].min() >= 0 and both[..., 11].max() <= 1
+
+
+def test_mono_equals_rgb_in_a_grey_scene(body):
+    results = []
+    for variant in ("llvm_ad_rgb", "llvm_ad_mono"):
+        mi.set_variant(variant)
+        results.append(image(scene(body, refscatter())))
+    rgba, luminance = results
+    np.testing.assert_allclose(luminance, rgba[..., [1, 3]], rtol=1e-4, atol=1e-6)
+
+
+def test_spectral_agrees_with_rgb_in_a_grey_scene(body):
+    """Spectral renders draw four wavelengths per camera sample: the mean over seeds is compared, per channel,
+    within 3 standard errors, which must be below 2 %."""
+    samples = []
+    for variant in ("llvm_ad_rgb", "llvm_ad_spectral"):
+        mi.set_variant(variant)
+        loaded = scene(body, refscatter())
+        samples.append(np.array([image(loaded, seed=k)[..., :3].mean((0, 1)) for k in range(24)]))
+    _, error, z = z_values(*samples)
+    assert (error < 0.02 * samples[0].mean(0)).all()
+    assert (np.abs(z) < 3).all()
+
+
+def test_crop_window_shows_the_same_picture(body):
+    """A crop window is a part of the whole film: same expectation, different camera samples."""
+    mi.set_variant("llvm_ad_rgb")
+    part = image(scene(body, refscatter()), spp=256)
+    whole = image(scene(body, refscatter(), crop_offset_x=0, crop_offset_y=0, crop_width=32, crop_height=24), spp=256)
+    level = part[..., :3].mean()
+    assert np.abs(whole[3:17, 5:25] - part)[..., :3].mean() < 0.02 * level
+    assert np.abs(whole[3:17, 8:28] - part)[..., :3].mean() > 0.1 * level     # three pixels beside
+
+
+def test_same_seed_same_image(body):
+    mi.set_variant("llvm_ad_rgb")
+    loaded = scene(body, refscatter(True))
+    first, again, other = image(loaded, seed=5), image(loaded, seed=5), image(loaded, seed=6)
+    np.testing.assert_allclose(again, first, rtol=1e-5, atol=1e-6)
+    assert np.abs(other - first).max() > 1e-4
+
+
+def test_variant_changes_back_and_forth(body):
+    """A class keeps the variant it was made under: the plugin is made anew for each."""
+    kept = {}
+    for variant in ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_rgb", "llvm_ad_spectral", "llvm_ad_mono"):
+        mi.set_variant(variant)
+        result = image(scene(body, refscatter()), spp=1)
+        if variant in kept:
+            np.testing.assert_allclose(result, kept[variant], rtol=1e-5, atol=1e-6)
+        kept[variant] = result
+
+
+@pytest.mark.parametrize("variant", ("scalar_rgb", "scalar_spectral", "llvm_ad_mono_polarized", "llvm_ad_spectral_polarized"))
+def test_refused_variants(variant):
+    """Setting such a variant is harmless; only to make the integrator is refused, with the way out."""
+    mi.set_variant(variant)
+    with pytest.raises(RuntimeError, match=f"the variant {variant} cannot be used: refscatter .*: choose "):
+        mi.load_dict({"type": "refscatter"})
+    mi.set_variant("llvm_ad_rgb")
+    assert "RefscatterIntegrator" in str(mi.load_dict({"type": "refscatter"}))
+
+
+SCRIPT = """
+    import sys
+    import mitsuba as mi
+    {first}
+    {second}
+    sys.path.insert(0, {tests!r})
+    from test_plugin import image, refscatter, scene
+    assert image(scene({body!r}, refscatter()), spp=1)[..., :3].max() > 0.01
+    print("rendered")
+"""
+
+
+@pytest.mark.parametrize("package_first", (True, False))
+def test_both_import_orders(package_first, body):
+    """In a process of its own: here the package was imported long ago."""
+    lines = ["import mitsuba_refscatter", "mi.set_variant('llvm_ad_rgb')"]
+    first, second = lines if package_first else lines[::-1]
+    script = textwrap.dedent(SCRIPT.format(first=first, second=second, tests=sys.path[0], body=body))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("rendered\n")
+
+
+def test_import_needs_no_variant_and_sets_none():
+    script = "import mitsuba as mi, mitsuba_refscatter; print(mi.variant(), mitsuba_refscatter.__version__)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["None", mitsuba_refscatter.__version__]
