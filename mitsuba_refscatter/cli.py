@@ -16,8 +16,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from . import meshcheck, output, platform
+from . import __version__, meshcheck, output, platform
 from . import scenes as scene_files
+from .compare import results
+from .compare import scaling as measure
 
 app = typer.Typer(
     add_completion=False,
@@ -239,6 +241,42 @@ def scenes(
     except OSError as error:
         raise Failure(f"nothing can be written in {directory}: {error.strerror}") from error
     out.print(f"{path}  ({count} triangles)", markup=False)
+
+
+@app.command()
+@_plainly
+def scaling(
+    directory: Optional[Path] = typer.Option(None, "-o", "--output", help="Directory for results.json. [default: print only]"),
+    triangles: List[int] = typer.Option(list(measure.SIZES), "--triangles", min=1, help="Triangles of the body; repeatable."),  # noqa: UP006
+    scene: str = typer.Option("bumpy_sphere", "--scene", help="One of the scenes made by code."),
+    resolution: int = typer.Option(256, "--resolution", min=1, help="Pixels on a side."),
+    samples: int = typer.Option(64, "--samples", min=1, help="Samples per pixel of volpath."),
+    bounces: int = typer.Option(0, "--internal-bounces", min=0, help="Of refscatter; volpath has none in this comparison."),
+    variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
+):
+    """Measure cost against the number of triangles, in samples of volpath on the same machine in the same run."""
+    variant = variant or platform.default_variant()
+    platform.require_usable(variant)
+    if directory is not None:
+        output.directory(directory)
+    table = Table(box=None, pad_edge=False)
+    for heading in ("triangles", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray", "contributing/ray",
+                    "peak MiB"):  # fmt: skip
+        table.add_column(heading, justify="right")
+
+    def add(rows):
+        row = rows[0]
+        table.add_row(
+            str(row["triangles"]), f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
+            f"{row['volpath_samples_of_same_wall_time']:.0f}", f"{row['volpath_samples_of_same_cpu_time']:.0f}",
+            f"{row['candidates_per_ray']:.0f}", f"{row['contributing_per_ray']:.0f}", f"{row['peak_memory_bytes'] / 2**20:.0f}",
+        )  # fmt: skip
+        err.print(f"{row['triangles']} triangles done")
+
+    rows = measure.run(triangles, add, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces, variant=variant)
+    out.print(table)
+    if directory is not None:
+        out.print(str(results.write(directory, rows, __version__)), markup=False)
 
 
 def main() -> None:

@@ -28,13 +28,20 @@ def target(path) -> Path:
         path = path.with_name(path.name + ".exr")
     if path.suffix.lower() != ".exr":
         raise OutputError(f"{path} does not end in .exr: the picture is written as OpenEXR, and as PNG beside it")
-    probe = _beside(path)
+    directory(path.parent)
+    return path
+
+
+def directory(path) -> Path:
+    """Make a directory and return it, once it is certain that files can be made there."""
+    path = Path(path)
+    probe = _beside(path / "probe")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.mkdir(parents=True, exist_ok=True)
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise OutputError(f"nothing can be written in {path.parent}: {error.strerror}") from None
+        raise OutputError(f"nothing can be written in {path}: {error.strerror}") from None
     return path
 
 
@@ -43,10 +50,12 @@ def _beside(path: Path) -> Path:
     return path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
 
 
-def _write(bitmap, path: Path) -> None:
+def write_file(path, write) -> None:
+    """Let ``write(path)`` make a file beside ``path`` and rename it: an earlier file stays until then."""
+    path = Path(path)
     unfinished = _beside(path)
     try:
-        bitmap.write(str(unfinished))
+        write(unfinished)
         os.replace(unfinished, path)
     except (OSError, RuntimeError) as error:
         raise OutputError(f"{path} cannot be written: {error}") from None
@@ -97,9 +106,10 @@ def write_image(path, image) -> tuple[Path, Optional[Path]]:
     path = target(path)
     bitmap = image if isinstance(image, mi.Bitmap) else mi.Bitmap(np.asarray(image, dtype=np.float32))
     rgb = _rgb(bitmap)
-    _write(bitmap, path)
+    write_file(path, lambda unfinished: bitmap.write(str(unfinished)))
     if rgb is None:
         return path, None
     png = path.with_suffix(".png")
-    _write(mi.Bitmap(tone_map(rgb)), png)
+    shown = mi.Bitmap(tone_map(rgb))
+    write_file(png, lambda unfinished: shown.write(str(unfinished)))
     return path, png

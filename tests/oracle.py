@@ -11,7 +11,7 @@ import numpy as np
 from meshes import (BoxTree, Mesh, bisect, dot, fresnel_reflectance, interface, make_patches,
                     may_vanish, norm, panels, quarter, switches, take, triangle_grid, within)
 
-GRID_BATCH = 1 << 23   # values of g held at once (memory)
+GRID_BATCH = 1 << 23   # numbers in one array of values on the micro grid (memory)
 ROUGH = 0.05           # relative change of grad g along a chord above which its triangle is split
 SPAN = 1 / 256         # the same for the part of a camera segment that one chord sees
 COARSE = 1 / 12        # side in (u,v) of the micro triangles above which none is clipped away
@@ -150,8 +150,8 @@ def _curve(patches, ray, tri, uv, g, light, eta, o, d, t_max):
         slope = np.where(rough, (norm(slope_a) + norm(slope_b)) / 2, norm(gradient))
         weight = norm(b - a) * np.maximum(hi - lo, 0) / slope
         done = inside & ~(rough | (lo > 0) | (hi < 1) | (span > SPAN))[:, 0] | (depth == MAX_SPLITS)
-        a, b = a + lo * (b - a), a + hi * (b - a)
-        found.append([x[done] for x in (ray, tri, point, a, b, weight)])
+        a, b, some = a + lo * (b - a), a + hi * (b - a), done & (weight > 0)[:, 0]
+        found.append([x[some] for x in (ray, tri, point, a, b, weight)])
         rest = [np.concatenate([x[~done], y]) for x, y in zip((ray, tri, uv), rest)]
         if depth < MAX_SPLITS:
             ray, tri, uv, g = _quarter(patches, *rest, light, eta, o, d)
@@ -338,7 +338,8 @@ def plane_radiance(eta, sigma_s, sigma_t, g, light_position, light_intensity, o,
     c_l, c_v = h_l / d_l, h_v / d_v
     big_d = (d_v + eta * d_l) * (c_l / c_v * d_v + c_v / c_l * eta * d_l)
     level = (along * d[:, None, :2]).sum(-1) / np.maximum(rho, 1e-300) * (rho - x) / d_v
-    w = w * (1 - fresnel_reflectance(c_l, c_v, eta)) * eta ** 2 / big_d * phase(g, c_v * d[:, 2:] - level)
+    w = w * (1 - fresnel_reflectance(c_l, c_v, eta)) * eta ** 2 / big_d
+    w = w * phase(g, c_v * d[:, 2:] - level)
     w = w[..., None] * np.exp(-np.multiply(sigma_t, (t + d_v)[..., None]))
     return w.sum(1) * sigma_s * light_intensity
 

@@ -11,8 +11,8 @@ PACKAGE = Path(__file__).parent.parent / "mitsuba_refscatter"
 # or to write a file (platform, output) knows nothing of the others.
 ORDER = [
     "platform", "optics", "tolerances", "lanes", "geometry", "scene", "visibility", "solve", "culling",
-    "estimators", "wavefront", "camera", "options", "film", "integrators", "plugin", "compare", "scenes",
-    "output", "meshcheck", "cli", "__main__",
+    "estimators", "wavefront", "camera", "options", "film", "integrators", "plugin", "scenes", "output",
+    "compare", "meshcheck", "cli", "__main__",
 ]  # fmt: skip
 
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")

@@ -1,0 +1,133 @@
+"""``refscatter scaling``: cost against the number of triangles, in samples of ``volpath``.
+
+Each size runs in a process of its own, so that peak memory is its own. In that process both methods render the
+same body, view and size of image, once to compile and then ``repeats`` times in turn; medians are reported.
+"""
+
+import concurrent.futures
+import multiprocessing
+import resource
+import statistics
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+
+from .. import scenes as scene_files
+from . import results
+
+SIZES = (1280, 5120, 20480, 81920, 327680)
+LIGHT_RADIUS = 0.1
+"""Radius of the sphere light that stands for the point light where ``volpath`` renders: it can't connect to a point."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One measurement. ``settings``: properties of ``refscatter``; ``samples``: per pixel, of ``volpath``."""
+
+    scene: str = "bumpy_sphere"
+    triangles: int = 20480
+    variant: str = "llvm_ad_rgb"
+    resolution: int = 256
+    samples: int = 64
+    repeats: int = 3
+    internal_bounces: int = 0
+    tolerance: float = 0.01
+
+    def settings(self):
+        return {"surfaces": False, "internal_bounces": self.internal_bounces, "tolerance": self.tolerance}
+
+
+def measure(setup):
+    """Measures one size in this process; returns a row of results for ``refscatter`` and one for ``volpath``."""
+    import mitsuba as mi
+
+    mi.set_variant(setup.variant)
+    import mitsuba_refscatter  # noqa: F401 - registers the plugin
+
+    with tempfile.TemporaryDirectory() as directory:
+        path, triangles = scene_files.write_scene(setup.scene, directory, setup.triangles)
+        scene = mi.load_file(str(path), optimize=False, res=str(setup.resolution))
+    candidates, contributions, rays = _pairs(scene, setup)
+    integrator = mi.load_dict({"type": "refscatter", **setup.settings()})
+    render = {
+        "refscatter": lambda: integrator.render(scene, spp=1),
+        "volpath": lambda scene=_volpath_scene(scene): scene.integrator().render(scene, spp=setup.samples),
+    }
+    render["refscatter"]()  # compiles; the peak memory of volpath is not ours
+    render["refscatter"]()
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    render["volpath"]()
+    times = {method: [] for method in render}
+    for _ in range(setup.repeats):
+        for method, work in render.items():
+            times[method].append(_clock(work))
+    rows = []
+    for method, samples in (("refscatter", 1), ("volpath", setup.samples)):
+        wall, cpu = (statistics.median(x) for x in zip(*times[method]))
+        settings = setup.settings() if method == "refscatter" else {"max_depth": 4, "light_radius": LIGHT_RADIUS}
+        rows.append(results.row(
+            scene=setup.scene, method=method, variant=setup.variant, triangles=triangles,
+            settings={**settings, "resolution": setup.resolution}, wall_seconds=wall, cpu_seconds=cpu, samples=samples,
+        ))  # fmt: skip
+    ours, theirs = rows
+    ours.update(
+        volpath_samples_of_same_wall_time=ours["wall_seconds"] / theirs["wall_seconds"] * setup.samples,
+        volpath_samples_of_same_cpu_time=ours["cpu_seconds"] / theirs["cpu_seconds"] * setup.samples,
+        rays=rays, candidates_per_ray=candidates / rays, contributing_per_ray=contributions / rays, peak_memory_bytes=memory,
+    )  # fmt: skip
+    return rows
+
+
+def run(sizes, report=lambda rows: None, **setup):
+    """Measures all sizes, each in a fresh process; ``report(rows)`` is called after each. Returns all rows."""
+    rows, context = [], multiprocessing.get_context("spawn")
+    for triangles in sizes:
+        with concurrent.futures.ProcessPoolExecutor(1, mp_context=context) as pool:
+            found = pool.submit(measure, Setup(triangles=triangles, **setup)).result()
+        rows += found
+        report(found)
+    return rows
+
+
+def _pairs(scene, setup):
+    """Sums of candidate and of contributing pairs over the image, and the rays that enter the body."""
+    import mitsuba as mi
+    import numpy as np
+
+    integrator = mi.load_dict({"type": "refscatter", "aovs": "candidates,contributions", **setup.settings()})
+    image = np.array(integrator.render(scene, spp=1), dtype=np.float64)
+    return image[..., -2].sum(), image[..., -1].sum(), max(integrator.counts.segments, 1)
+
+
+def _volpath_scene(scene):
+    """The same sensor and shapes, the point lights as small spheres of the same power, ``volpath``."""
+    import mitsuba as mi
+    import numpy as np
+
+    parts = {"type": "scene", "integrator": {"type": "volpath", "max_depth": 4}, "sensor": scene.sensors()[0]}
+    for i, shape in enumerate(scene.shapes()):
+        parts[f"shape{i}"] = shape
+    for i, emitter in enumerate(scene.emitters()):
+        parameters = mi.traverse(emitter)
+        intensity = np.array(parameters["intensity.value"]).ravel()
+        radiance = {"type": "rgb", "value": [float(x) / (np.pi * LIGHT_RADIUS**2) for x in intensity]}
+        parts[f"light{i}"] = {
+            "type": "sphere", "center": [float(x) for x in np.array(parameters["position"]).ravel()],
+            "radius": LIGHT_RADIUS, "emitter": {"type": "area", "radiance": radiance},
+        }  # fmt: skip
+    return mi.load_dict(parts)
+
+
+def _clock(work):
+    """Wall and CPU seconds of a render, to the last kernel."""
+    import drjit as dr
+
+    wall, cpu = time.perf_counter(), time.process_time()
+    dr.eval(work())
+    dr.sync_thread()
+    return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def describe(setup):
+    """The options of a run, for the report."""
+    return asdict(Setup(**setup))
