@@ -47,11 +47,13 @@ class Paths:
 
     ``segments``: a list, per body, of ``(o, d, t_max, weight, sample)`` in world coordinates;
     ``ends``: ``Legs`` that reach a plain surface or escape (their weight includes the way there);
-    ``hit``: per camera ray, whether it hits anything.
+    ``direct``: whether the first of these are the camera rays that meet no body; ``hit``: per camera ray, whether
+    it hits anything.
     """
 
     segments: list
     ends: list
+    direct: bool
     hit: object
 
 
@@ -65,7 +67,7 @@ def trace(scene, ray, active, internal_bounces, surfaces, min_weight):
     )  # fmt: skip
     if not isinstance(active, bool) or not active:
         legs = legs.gather(dr.compress(mi.Bool(active) & dr.full(mi.Bool, True, n)))
-    paths = Paths([[] for _ in scene.bodies], [], dr.zeros(mi.Bool, n))
+    paths = Paths([[] for _ in scene.bodies], [], False, dr.zeros(mi.Bool, n))
     again = internal_bounces > 0 and (surfaces or len(scene.bodies) > 1 or not scene.bodies[0].convex)
     first = True
     while len(legs) > 0:
@@ -92,7 +94,7 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     _refuse_nested(scene, legs.body, target, within & boundary & (legs.body != target))
 
     sigma_t = mi.Spectrum(0)
-    wavelengths = dr.gather(type(ray.wavelengths), ray.wavelengths, legs.sample) if mi.is_spectral else ray.wavelengths
+    wavelengths = lanes.of(ray.wavelengths, legs.sample)
     for body in scene.bodies:
         if body.medium is not None:
             sigma_t = dr.select(legs.body == body.index, body.coefficients(wavelengths)[1], sigma_t)
@@ -109,6 +111,7 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
         kept = dr.compress(dr.select(hit, ~boundary, ~within))
         if dr.width(kept) > 0:
             paths.ends.append(arriving.gather(kept))
+            paths.direct |= first
     return _split(scene, arriving, pi, tri, target, boundary & ~bad, internal_bounces, again, surfaces, first, min_weight)
 
 
@@ -118,12 +121,12 @@ def _split(scene, legs, pi, tri, target, active, internal_bounces, again, surfac
     centre = dr.gather(mi.Point3f, scene.centre, target, active)
     eta = dr.select(active, dr.gather(mi.Float, scene.eta, target, active), 1)
     n = tri.normal(pi.prim_uv.x, pi.prim_uv.y)
-    n = dr.select(within, -n, n)
     P = tri.position(pi.prim_uv.x, pi.prim_uv.y) + centre
+    # As in Mitsuba the shading normal says from which side light is refracted, the facet where the ray then is.
+    outside = dr.dot(legs.d, n) < 0
+    n = dr.select(outside, n, -n)
     cos_i = -dr.dot(legs.d, n)
-    # Where only the shading normal turns away the boundary is seen edge-on: nothing is taken from there.
-    active &= cos_i > 0
-    eta_ti = dr.select(within, dr.rcp(eta), eta)
+    eta_ti = dr.select(outside, eta, dr.rcp(eta))
     F, cos_t = optics.fresnel(cos_i, eta_ti)
     entries = legs.entries + dr.select(within, mi.UInt32(0), mi.UInt32(0 if first else 1))
     reflections = legs.reflections + dr.select(within, mi.UInt32(1), mi.UInt32(0))

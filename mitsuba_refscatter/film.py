@@ -9,8 +9,8 @@ from . import tolerances
 def render(sample, sensor, seed, spp, aovs, develop, evaluate, progress):
     """Renders in passes of at most ``tolerances.PASS_SAMPLES`` camera samples, at least one per pixel.
 
-    ``sample(sampler, ray, active, progress) -> (radiance, valid, extra channels)``; arguments as in Mitsuba's
-    ``Integrator.render``. ``progress(fraction)`` may be None.
+    ``sample(sampler, ray, ray weight, active, progress) -> (radiance, valid, extra channels)``; arguments as in
+    Mitsuba's ``Integrator.render``. ``progress(fraction)`` may be None.
     """
     film, sampler = sensor.film(), sensor.sampler().clone()
     if spp:
@@ -29,7 +29,7 @@ def render(sample, sensor, seed, spp, aovs, develop, evaluate, progress):
     for k in range(passes):
         ray, weight, position = _rays(sensor, sampler, film, size, border, per_pass)
         report = None if progress is None else lambda x, k=k: progress((k + x) / passes)
-        value, valid, extra = sample(sampler, ray, True, report)
+        value, valid, extra = sample(sampler, ray, weight, True, report)
         _put(block, film, position, value * weight, valid, extra, ray.wavelengths)
         sampler.advance()
         sampler.schedule_state()

@@ -40,7 +40,8 @@ class Shadows:
         return self._free(P - self.offset * Ng, direction, length, active)
 
     def _free(self, start, direction, length, active):
-        ray = mi.Ray3f(start + self.centre, direction, length * (1 - tolerances.SHADOW_END), 0, [])
+        ray = mi.Ray3f(start + self.centre, direction)
+        ray.maxt = length * (1 - tolerances.SHADOW_END)
         return ~self.scene.mi_scene.ray_test(ray, active)
 
     def seen(self, triangles):

@@ -51,16 +51,14 @@ class Segments:
 
 @dataclass
 class Counts:
-    """Work done, for the AOVs and the benchmark: pairs per stage."""
+    """Work done: camera segments, and (segment, leaf) pairs that the trees' traversal found."""
 
     segments: int = 0
     leaves: int = 0
-    candidates: int = 0
 
     def add(self, other):
         self.segments += other.segments
         self.leaves += other.leaves
-        self.candidates += other.candidates
 
 
 def scatter(segments, beams, records, lighting, accuracy, detail=False, progress=None):
@@ -88,16 +86,14 @@ def scatter(segments, beams, records, lighting, accuracy, detail=False, progress
         counts.leaves += found
         if found > 0:
             zeros = light_beams.candidates(beams, segments, lane, leaf, found)
-            bent = zeros.nonlinearity > dr.opaque(mi.Float, accuracy.linear)
-            whole, parts = zeros.bracketed & ~bent, zeros.possible & bent
             if detail:
                 of = light_beams.pairs_at(lane, leaf, dr.arange(mi.UInt32, found * bvh.LEAF)).segment
                 dr.scatter_add(candidates, mi.Float(1), of, zeros.possible)
-            dr.eval(zeros.possible, whole, parts, candidates)
-            counts.candidates += int(dr.count(zeros.possible)[0])
+            bent = zeros.nonlinearity > dr.opaque(mi.Float, accuracy.linear)
+            whole, parts = lanes.chosen(zeros.bracketed & ~bent, zeros.possible & bent)
             work = Work(sums, segments, beams, records, lighting, accuracy)
-            work.solve(light_beams.pairs_at(lane, leaf, dr.compress(whole)))
-            work.refine(light_beams.pairs_at(lane, leaf, dr.compress(parts)))
+            work.solve(light_beams.pairs_at(lane, leaf, whole))
+            work.refine(light_beams.pairs_at(lane, leaf, parts))
         start += size
         if progress is not None:
             progress(start, n)

@@ -3,21 +3,23 @@
 Each estimator is given as an array (replicates, height, width, channels) of independent renders with
 the same expectation.  Nothing here knows what is rendered.
 """
+
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
-MEAN_LIMIT = 3.0          # largest |z| of an image mean
-BLOCK_LIMIT = 4.5         # largest |z| of a block; one of 1,000 blocks exceeds it with probability 0.7 %
-CHI2_TAIL = 1e-3          # chi-square of the blocks must be in its 0.1 % to 99.9 % range
-DARK = 0.05               # blocks darker than this, relative to the image mean, hold too few paths for a z-test
+MEAN_LIMIT = 3.0  # largest |z| of an image mean
+BLOCK_LIMIT = 4.5  # largest |z| of a block; one of 1,000 blocks exceeds it with probability 0.7 %
+CHI2_TAIL = 1e-3  # chi-square of the blocks must be in its 0.1 % to 99.9 % range
+DARK = 0.05  # blocks darker than this, relative to the image mean, hold too few paths for a z-test
 
 
 @dataclass(frozen=True)
 class Agreement:
     """Per channel (C,): means' relative difference, its standard error and z, chi-square of blocks and
     its probability from below; ``blocks``: z values (blocks, C); ``block_error``: median standard error."""
+
     difference: np.ndarray
     error: np.ndarray
     z: np.ndarray
@@ -29,9 +31,12 @@ class Agreement:
     def __str__(self):
         def row(x):
             return " ".join(f"{v:8.4f}" for v in x)
-        return (f"relative difference {row(self.difference)}  standard error {row(self.error)}  z {row(self.z)}\n"
-                f"{len(self.blocks)} blocks: chi2 {row(self.chi2)}  probability {row(self.probability)}  "
-                f"largest |z| {np.abs(self.blocks).max():.2f}  median relative error {self.block_error:.3f}")
+
+        return (
+            f"relative difference {row(self.difference)}  standard error {row(self.error)}  z {row(self.z)}\n"
+            f"{len(self.blocks)} blocks: chi2 {row(self.chi2)}  probability {row(self.probability)}  "
+            f"largest |z| {np.abs(self.blocks).max():.2f}  median relative error {self.block_error:.3f}"
+        )
 
 
 def block_means(images, size):
@@ -47,7 +52,7 @@ def z_values(a, b):
     z is the normal variate of the same probability."""
     va, vb = a.var(0, ddof=1) / len(a), b.var(0, ddof=1) / len(b)
     difference, variance = a.mean(0) - b.mean(0), np.maximum(va + vb, 1e-300)
-    freedom = variance ** 2 / np.maximum(va ** 2 / (len(a) - 1) + vb ** 2 / (len(b) - 1), 1e-300)
+    freedom = variance**2 / np.maximum(va**2 / (len(a) - 1) + vb**2 / (len(b) - 1), 1e-300)
     t = difference / np.sqrt(variance)
     z = np.sign(t) * stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), freedom), 1e-300))
     return difference, np.sqrt(variance), z
@@ -60,9 +65,16 @@ def compare(ours, theirs, size):
     blocks = [block_means(x, size).reshape(len(x), -1, x.shape[-1]) for x in (ours, theirs)]
     bright = (blocks[0].mean(0) > DARK * level).all(-1)
     block_difference, block_error, block_z = z_values(*(x[:, bright] for x in blocks))
-    chi2 = (block_z ** 2).sum(0)
-    return Agreement(difference / level, error / level, z, chi2, stats.chi2.cdf(chi2, bright.sum()), block_z,
-                     float(np.median(block_error / blocks[0].mean(0)[bright])))
+    chi2 = (block_z**2).sum(0)
+    return Agreement(
+        difference / level,
+        error / level,
+        z,
+        chi2,
+        stats.chi2.cdf(chi2, bright.sum()),
+        block_z,
+        float(np.median(block_error / blocks[0].mean(0)[bright])),
+    )
 
 
 def check(agreement, mean_error, block_error):

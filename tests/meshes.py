@@ -127,7 +127,7 @@ class BoxTree:
                 h, q = np.cross(along, e2), np.cross(start, e1)
                 with np.errstate(divide="ignore", invalid="ignore"):
                     tuv = np.hstack([dot(e2, q), dot(start, h), dot(along, q)]) / dot(e1, h)
-                t, u, v = tuv.T
+                t, u, v = np.where(np.isfinite(tuv), tuv, -1).T     # -1: parallel to the plane
                 good = (u >= 0) & (v >= 0) & (u + v <= 1) & (tri != skip[ray])
                 good &= (t > self.tolerance) & (t < length[ray] - self.tolerance)
                 found.append((ray[good], tri[good], tuv[good]))

@@ -71,7 +71,8 @@ def beam_gap(patch, uv, light, eta, o, d):
 def _candidates(uv, radicand, g, g_u, g_v, reach):
     """Whether to look for g = 0 on micro triangles; all but reach are three corners' arrays.
 
-    Beside `may_vanish`: at the critical angle c_V = sqrt(radicand) moves g by up to |P - o|."""
+    Beside `may_vanish`: at the critical angle g moves by c_V (P - o).(d x n), c_V^2 = radicand;
+    reach bounds the second factor."""
     swing = np.sqrt(np.maximum(np.max(radicand, 0), 0)) * (np.min(radicand, 0) <= 0) * reach
     return may_vanish(uv, g, g_u, g_v) | (np.minimum.reduce([np.abs(x) for x in g]) < swing)
 
@@ -163,9 +164,10 @@ def _quarter(patches, ray, tri, uv, light, eta, o, d):
     ray, tri, uv = np.tile(ray, 4), np.tile(tri, 4), quarter(uv)
     patch = take(patches, tri)
     g, gradient = zip(*[beam_gap(patch, uv[:, k], light, eta, o[ray], d[ray]) for k in range(3)])
-    radicand = [light_ray(patch, uv[:, k], light, eta).radicand[:, 0] for k in range(3)]
-    reach = norm(patch.p - o[ray])[:, 0] + norm(patch.e1)[:, 0] + norm(patch.e2)[:, 0]
-    keep = _candidates(uv.swapaxes(0, 1), radicand, g, *np.moveaxis(gradient, 2, 0), reach)
+    corners = [light_ray(patch, uv[:, k], light, eta) for k in range(3)]
+    reach = np.max([np.abs(dot(x.point - o[ray], np.cross(d[ray], x.n))) for x in corners], 0)[:, 0]
+    keep = _candidates(uv.swapaxes(0, 1), [x.radicand[:, 0] for x in corners], g,
+                       *np.moveaxis(gradient, 2, 0), 1.5 * reach)
     return ray[keep], tri[keep], uv[keep], np.stack(g, 1)[keep]
 
 

@@ -1,4 +1,5 @@
 """The plugin inside Mitsuba: film, wrappers, alpha, variants, import orders, refusals."""
+
 import subprocess
 import sys
 import textwrap
@@ -11,8 +12,6 @@ from meshes import bumpy_sphere
 
 import mitsuba_refscatter
 from mitsuba_refscatter.scenes import write_ply
-
-VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_spectral")
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +29,7 @@ def grey(value):
 def scene(body, integrator, width=32, height=24, **film):
     """A grey body over a grey floor, seen by a film with a gaussian filter, a crop window and 4 samples."""
     transform = mi.ScalarTransform4f()
-    pixels = "luminance_alpha" if mi.variant() == "llvm_ad_mono" else "rgba"
+    pixels = "luminance_alpha" if mi.is_monochromatic else "rgba"
     crop = {"crop_offset_x": 5, "crop_offset_y": 3, "crop_width": 20, "crop_height": 14}
     return mi.load_dict({
         "type": "scene", "integrator": integrator,
@@ -59,17 +58,15 @@ def image(loaded, seed=3, **arguments):
 
 
 @pytest.mark.parametrize("surfaces", (False, True))
-@pytest.mark.parametrize("variant", VARIANTS)
 def test_same_image_alone_and_as_a_child(variant, surfaces, body):
     """``aov`` and ``moment`` render through Mitsuba's own film code, with the same camera samples for the same
     seed.  What differs is the order in which filtered samples are summed: a few roundings of float32."""
-    mi.set_variant(variant)
     ours = refscatter(surfaces)
     alone = image(scene(body, ours))
     inside_aov = image(scene(body, {"type": "aov", "aovs": "distance:depth", "image": ours}))
     inside_moment = image(scene(body, {"type": "moment", "image": ours}))
     assert np.isfinite(alone).all()
-    channels = 2 if variant == "llvm_ad_mono" else 4
+    channels = 2 if mi.is_monochromatic else 4
     assert alone.shape == (14, 20, channels)
     brightest = alone[..., :-1].max()
     assert brightest > 0.01
@@ -78,26 +75,22 @@ def test_same_image_alone_and_as_a_child(variant, surfaces, body):
 
 
 @pytest.mark.parametrize("surfaces", (False, True))
-@pytest.mark.parametrize("variant", VARIANTS)
 def test_alpha_is_where_the_camera_ray_hits(variant, surfaces, body):
     """``depth`` reports a hit as its alpha and gets the same camera rays; the floor counts too."""
-    mi.set_variant(variant)
     alpha = image(scene(body, refscatter(surfaces)))[..., -1]
     expected = image(scene(body, {"type": "depth"}))[..., -1]
     assert expected.min() < 0.1 and expected.max() > 0.9
     np.testing.assert_allclose(alpha, expected, atol=1e-6)
 
 
-def test_alpha_is_zero_or_one_for_one_sample_in_a_box(body):
-    mi.set_variant("llvm_ad_rgb")
+def test_alpha_is_zero_or_one_for_one_sample_in_a_box(rgb, body):
     alpha = image(scene(body, refscatter(), rfilter={"type": "box"}), spp=1)[..., 3]
     assert set(np.unique(alpha)) == {0.0, 1.0}
 
 
-def test_single_scattering_does_not_depend_on_what_the_nested_integrator_draws(body):
+def test_single_scattering_does_not_depend_on_what_the_nested_integrator_draws(rgb, body):
     """The single-scattering part of an image is a function of the camera samples alone."""
-    mi.set_variant("llvm_ad_rgb")
-    names = "single_scatter, surfaces, candidates, contributions, unresolved"
+    names = "single_scatter, surfaces"
     both = image(scene(body, refscatter(True, aovs=names), pixel_format="rgb"))
     only = image(scene(body, refscatter(False, aovs=names), pixel_format="rgb"))
     scattered, surfaces = both[..., 3:6], both[..., 6:9]
@@ -107,8 +100,25 @@ def test_single_scattering_does_not_depend_on_what_the_nested_integrator_draws(b
     np.testing.assert_allclose(only[..., 6:9], 0)
     # Legs that leave the body are not followed where nothing can scatter behind them: weights stay the same.
     np.testing.assert_allclose(scattered, only[..., :3], rtol=1e-4, atol=1e-5 * largest)
-    assert (both[..., 9] >= both[..., 10]).all() and both[..., 10].max() > 1
-    assert both[..., 11].min() >= 0 and both[..., 11].max() <= 1
+
+
+def test_counts(rgb, body):
+    """Contributing pairs are some of the candidate pairs; ``unresolved`` is a share of samples."""
+    result = image(scene(body, refscatter(aovs="candidates, contributions, unresolved")))
+    candidates, contributions, unresolved = result[..., 4:].transpose(2, 0, 1)
+    assert contributions.max() > 1
+    assert (candidates >= contributions * (1 - 1e-5)).all()
+    assert unresolved.min() >= 0 and unresolved.max() <= 1
+
+
+def test_extra_channels_are_the_same_inside_aov(rgb, body):
+    """``aov`` appends the child's channels to its own, with the child's name in front."""
+    ours = refscatter(aovs="single_scatter, candidates")
+    inside = scene(body, {"type": "aov", "aovs": "distance:depth", "image": ours})
+    alone, result = image(scene(body, ours)), image(inside)
+    names = [field.name for field in inside.sensors()[0].film().bitmap().struct_()]
+    print(names)
+    np.testing.assert_allclose(result[..., names.index("image.candidates")], alone[..., 7], rtol=1e-5)
 
 
 def test_mono_equals_rgb_in_a_grey_scene(body):
@@ -127,24 +137,22 @@ def test_spectral_agrees_with_rgb_in_a_grey_scene(body):
     for variant in ("llvm_ad_rgb", "llvm_ad_spectral"):
         mi.set_variant(variant)
         loaded = scene(body, refscatter())
-        samples.append(np.array([image(loaded, seed=k)[..., :3].mean((0, 1)) for k in range(24)]))
+        samples.append(np.array([image(loaded, seed=k, spp=16)[..., :3].mean((0, 1)) for k in range(12)]))
     _, error, z = z_values(*samples)
     assert (error < 0.02 * samples[0].mean(0)).all()
     assert (np.abs(z) < 3).all()
 
 
-def test_crop_window_shows_the_same_picture(body):
+def test_crop_window_shows_the_same_picture(rgb, body):
     """A crop window is a part of the whole film: same expectation, different camera samples."""
-    mi.set_variant("llvm_ad_rgb")
-    part = image(scene(body, refscatter()), spp=256)
-    whole = image(scene(body, refscatter(), crop_offset_x=0, crop_offset_y=0, crop_width=32, crop_height=24), spp=256)
+    part = image(scene(body, refscatter()), spp=64)
+    whole = image(scene(body, refscatter(), crop_offset_x=0, crop_offset_y=0, crop_width=32, crop_height=24), spp=64)
     level = part[..., :3].mean()
-    assert np.abs(whole[3:17, 5:25] - part)[..., :3].mean() < 0.02 * level
-    assert np.abs(whole[3:17, 8:28] - part)[..., :3].mean() > 0.1 * level     # three pixels beside
+    assert np.abs(whole[3:17, 5:25] - part)[..., :3].mean() < 0.03 * level
+    assert np.abs(whole[3:17, 8:28] - part)[..., :3].mean() > 0.1 * level  # three pixels beside
 
 
-def test_same_seed_same_image(body):
-    mi.set_variant("llvm_ad_rgb")
+def test_same_seed_same_image(rgb, body):
     loaded = scene(body, refscatter(True))
     first, again, other = image(loaded, seed=5), image(loaded, seed=5), image(loaded, seed=6)
     np.testing.assert_allclose(again, first, rtol=1e-5, atol=1e-6)
@@ -162,7 +170,9 @@ def test_variant_changes_back_and_forth(body):
         kept[variant] = result
 
 
-@pytest.mark.parametrize("variant", ("scalar_rgb", "scalar_spectral", "llvm_ad_mono_polarized", "llvm_ad_spectral_polarized"))
+@pytest.mark.parametrize(
+    "variant", ("scalar_rgb", "scalar_spectral", "llvm_ad_mono_polarized", "llvm_ad_spectral_polarized")
+)
 def test_refused_variants(variant):
     """Setting such a variant is harmless; only to make the integrator is refused, with the way out."""
     mi.set_variant(variant)

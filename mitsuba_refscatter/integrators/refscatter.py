@@ -68,7 +68,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         if dr.flag(dr.JitFlag.SymbolicScope):
             raise RuntimeError("refscatter cannot run inside a symbolic loop or call: call it on evaluated rays")
         with dr.suspend_grad():
-            return self._sample(Prepared(scene, self.options), sampler, ray, active, None)
+            return self._sample(Prepared(scene, self.options), sampler, ray, mi.Spectrum(1), active, None)
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
         platform.require_usable(mi.variant())
@@ -80,23 +80,28 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             return film.render(lambda *a: self._sample(prepared, *a), sensor, seed, spp, self.aov_names(),
                                develop, evaluate, self.progress)  # fmt: skip
 
-    def _sample(self, prepared, sampler, ray, active, progress):
-        """One wavefront of camera rays: chain, single scattering along it, surfaces at its ends."""
+    def _sample(self, prepared, sampler, ray, ray_weight, active, progress):
+        """One wavefront of camera rays: chain, single scattering along it, surfaces at its ends.
+
+        ``ray_weight`` is the sensor's; it goes into the channels that show radiance, not into the result.
+        """
         n, opt = dr.width(ray), self.options
         wanted = options.aov_list(opt)
         ray = mi.Ray3f(ray)
         paths = camera.trace(prepared.scene, ray, active, opt.internal_bounces, opt.surfaces, prepared.accuracy.weight)
         single = scatter(prepared, paths, ray, n, detail=bool({"candidates", "contributions", "unresolved"} & set(wanted)),
                          progress=progress)  # fmt: skip
-        shown = shade(self.nested, prepared.scene.mi_scene, paths.ends, sampler, ray, n) if opt.surfaces else mi.Spectrum(0)
+        shown, hit = mi.Spectrum(0), paths.hit
+        if opt.surfaces:
+            shown, hit = shade(self.nested, prepared.scene.mi_scene, paths, sampler, ray, n)
         extra = {
-            "single_scatter": lambda: film.to_rgb(single.radiance, ray.wavelengths),
-            "surfaces": lambda: film.to_rgb(shown + dr.zeros(mi.Spectrum, n), ray.wavelengths),
+            "single_scatter": lambda: film.to_rgb(ray_weight * single.radiance, ray.wavelengths),
+            "surfaces": lambda: film.to_rgb(ray_weight * shown + dr.zeros(mi.Spectrum, n), ray.wavelengths),
             "candidates": lambda: [single.candidates],
             "contributions": lambda: [single.contributions],
             "unresolved": lambda: [dr.select(single.unresolved > 0, mi.Float(1), 0)],
         }
-        return single.radiance + shown, paths.hit, [x for name in wanted for x in extra[name]()]
+        return single.radiance + shown, hit, [x for name in wanted for x in extra[name]()]
 
 
 class Prepared:
@@ -143,7 +148,7 @@ def scatter(prepared, paths, ray, n, detail, progress):
         if beams is None:
             continue
         o, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[body.index]))
-        wavelengths = dr.gather(type(ray.wavelengths), ray.wavelengths, sample) if mi.is_spectral else ray.wavelengths
+        wavelengths = lanes.of(ray.wavelengths, sample)
         sigma_s, sigma_t = body.coefficients(wavelengths)
         segments = Segments(o - mi.Point3f(dr.opaque(mi.Point3f, body.centre)), d, t_max, sigma_t)
         report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
@@ -159,25 +164,27 @@ def scatter(prepared, paths, ray, n, detail, progress):
     return single
 
 
-def shade(nested, mi_scene, ends, sampler, ray, n):
-    """Radiance that the ends of the camera paths bring, by the nested integrator."""
-    out = dr.zeros(mi.Spectrum, n)
-    for k, legs in enumerate(ends):
+def shade(nested, mi_scene, paths, sampler, ray, n):
+    """Radiance that the ends of the camera paths bring, by the nested integrator, and which camera rays count as
+    hits for alpha: its say where no body is met, so that emitters can be hidden."""
+    out, hit = dr.zeros(mi.Spectrum, n), paths.hit
+    for i, legs in enumerate(paths.ends):
         leg = mi.RayDifferential3f(mi.Ray3f(legs.o, legs.d))
-        leg.time = dr.gather(mi.Float, ray.time, legs.sample) if dr.width(ray.time) > 1 else ray.time
-        leg.wavelengths = dr.gather(type(ray.wavelengths), ray.wavelengths, legs.sample) if mi.is_spectral else ray.wavelengths
+        leg.time = lanes.of(ray.time, legs.sample)
+        leg.wavelengths = lanes.of(ray.wavelengths, legs.sample)
         fresh = mi.load_dict({"type": "independent"})
-        fresh.seed(mi.UInt32(dr.opaque(mi.UInt32, 0)) + seed_from(sampler), len(legs))
-        value, _, _ = nested.sample(mi_scene, fresh, leg, None, True)
+        fresh.seed(seed_from(sampler), len(legs))
+        value, valid, _ = nested.sample(mi_scene, fresh, leg, None, True)
         dr.scatter_add(out, legs.weight * value, legs.sample)
-        dr.eval(out)
-    return out
+        if i == 0 and paths.direct:
+            dr.scatter(hit, valid, legs.sample)
+        dr.eval(out, hit)
+    return out, hit
 
 
 def seed_from(sampler):
     """A seed for independent samples of another number of lanes, drawn from the sampler."""
-    x = sampler.next_1d()
-    return int(float(x[0]) * 2**31)
+    return int(sampler.next_1d()[0] * 2**31)
 
 
 def _nested(props, hide_emitters):
