@@ -112,7 +112,9 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
         if dr.width(kept) > 0:
             paths.ends.append(arriving.gather(kept))
             paths.direct |= first
-    return _split(scene, arriving, pi, tri, target, boundary & ~bad, internal_bounces, again, surfaces, first, min_weight)
+    return _split(
+        scene, arriving, pi, tri, target, boundary & ~bad, internal_bounces, again, surfaces, first, min_weight
+    )
 
 
 def _split(scene, legs, pi, tri, target, active, internal_bounces, again, surfaces, first, min_weight):
@@ -165,11 +167,15 @@ def _refuse_camera_inside(scene, legs, target, bad):
     origin = dr.gather(mi.Point3f, legs.o, found).numpy()[:, 0]
     body = scene.bodies[int(dr.gather(mi.UInt32, target, found)[0])]
     if mesh_facts.encloses(body.corners, origin):
-        raise SceneError(f"the camera is inside {body.name}: refscatter supports cameras outside of bodies only; move it out")
+        raise SceneError(
+            f"the camera is inside {body.name}: refscatter supports cameras outside of bodies only; move it out"
+        )
 
 
 def _refuse_nested(scene, around, target, nested):
     found = dr.compress(nested)
     if dr.width(found) > 0:
         a, b = (scene.bodies[int(dr.gather(mi.UInt32, x, found)[0])].name for x in (around, target))
-        raise SceneError(f"{b} is inside or overlaps {a}: refscatter supports bodies apart from each other only; separate them")
+        raise SceneError(
+            f"{b} is inside or overlaps {a}: refscatter supports bodies apart from each other only; separate them"
+        )

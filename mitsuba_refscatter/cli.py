@@ -246,12 +246,18 @@ def scenes(
 @app.command()
 @_plainly
 def scaling(
-    directory: Optional[Path] = typer.Option(None, "-o", "--output", help="Directory for results.json. [default: print only]"),
-    triangles: List[int] = typer.Option(list(measure.SIZES), "--triangles", min=1, help="Triangles of the body; repeatable."),  # noqa: UP006
+    directory: Optional[Path] = typer.Option(
+        None, "-o", "--output", help="Directory for results.json. [default: print only]"
+    ),
+    triangles: List[int] = typer.Option(
+        list(measure.SIZES), "--triangles", min=1, help="Triangles of the body; repeatable."
+    ),  # noqa: UP006
     scene: str = typer.Option("bumpy_sphere", "--scene", help="One of the scenes made by code."),
     resolution: int = typer.Option(256, "--resolution", min=1, help="Pixels on a side."),
     samples: int = typer.Option(64, "--samples", min=1, help="Samples per pixel of volpath."),
-    bounces: int = typer.Option(0, "--internal-bounces", min=0, help="Of refscatter; volpath has none in this comparison."),
+    bounces: int = typer.Option(
+        0, "--internal-bounces", min=0, help="Of refscatter; volpath has none in this comparison."
+    ),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
 ):
     """Measure cost against the number of triangles, in samples of volpath on the same machine in the same run."""
@@ -273,7 +279,9 @@ def scaling(
         )  # fmt: skip
         err.print(f"{row['triangles']} triangles done")
 
-    rows = measure.run(triangles, add, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces, variant=variant)
+    rows = measure.run(
+        triangles, add, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces, variant=variant
+    )
     out.print(table)
     if directory is not None:
         out.print(str(results.write(directory, rows, __version__)), markup=False)

@@ -74,7 +74,9 @@ def _rays(sensor, sampler, film, size, border, per_pass):
 def _put(block, film, position, value, valid, extra, wavelengths):
     alpha = dr.select(valid, mi.Float(1), mi.Float(0))
     if mi.has_flag(film.flags(), mi.FilmFlags.Special):
-        block.put(position, film.prepare_sample(value, wavelengths, block.channel_count(), weight=mi.Float(1), alpha=alpha))
+        block.put(
+            position, film.prepare_sample(value, wavelengths, block.channel_count(), weight=mi.Float(1), alpha=alpha)
+        )
         return
     channels = to_rgb(value, wavelengths)
     if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):

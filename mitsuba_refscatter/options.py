@@ -11,11 +11,21 @@ class OptionError(ValueError):
 class Options:
     """Properties of ``<integrator type="refscatter">``."""
 
-    estimator: str = field(default="curve", metadata={"choices": ("curve",), "meaning": "how light is summed along a segment"})
-    culling: str = field(default="beams", metadata={"choices": ("beams",), "meaning": "how triangles are found for a segment"})
-    tolerance: float = field(default=0.01, metadata={"range": (0, 1), "meaning": "relative error of the image aimed at"})
-    internal_bounces: int = field(default=4, metadata={"range": (0, 64), "meaning": "internal reflections of the camera ray"})
-    surfaces: bool = field(default=True, metadata={"meaning": "also show what is seen by reflection and through bodies"})
+    estimator: str = field(
+        default="curve", metadata={"choices": ("curve",), "meaning": "how light is summed along a segment"}
+    )
+    culling: str = field(
+        default="beams", metadata={"choices": ("beams",), "meaning": "how triangles are found for a segment"}
+    )
+    tolerance: float = field(
+        default=0.01, metadata={"range": (0, 1), "meaning": "relative error of the image aimed at"}
+    )
+    internal_bounces: int = field(
+        default=4, metadata={"range": (0, 64), "meaning": "internal reflections of the camera ray"}
+    )
+    surfaces: bool = field(
+        default=True, metadata={"meaning": "also show what is seen by reflection and through bodies"}
+    )
     aovs: str = field(default="", metadata={"meaning": "extra channels, comma-separated names of AOVS"})
 
 
@@ -39,12 +49,16 @@ def read(props):
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         if type(value) is not kind:
-            raise OptionError(f'refscatter: property "{option.name}" has the value {value!r}: it must be of type {_KINDS[kind]}')
+            raise OptionError(
+                f'refscatter: property "{option.name}" has the value {value!r}: it must be of type {_KINDS[kind]}'
+            )
         choices, bounds = option.metadata.get("choices"), option.metadata.get("range")
         if choices and value not in choices:
             raise OptionError(f'refscatter: property "{option.name}" is {value!r}: it must be {" or ".join(choices)}')
         if bounds and not bounds[0] <= value <= bounds[1]:
-            raise OptionError(f'refscatter: property "{option.name}" is {value}: it must lie in [{bounds[0]}, {bounds[1]}]')
+            raise OptionError(
+                f'refscatter: property "{option.name}" is {value}: it must lie in [{bounds[0]}, {bounds[1]}]'
+            )
         values[option.name] = value
     options = Options(**values)
     for name in aov_list(options):

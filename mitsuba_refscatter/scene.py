@@ -108,7 +108,7 @@ def describe(obj, what, detail=""):
     """How error messages name an object: its id, or where it has none what is known of it."""
     name = obj.id()
     anonymous = not name or name.startswith("_unnamed") or name.startswith("__")
-    return f'{what} {detail}' if anonymous and detail else f'{what} "{name}"'
+    return f"{what} {detail}" if anonymous and detail else f'{what} "{name}"'
 
 
 def _name_shape(shape):
@@ -167,7 +167,9 @@ def _is_body(shape):
     bsdf, name = shape.bsdf(), _name_shape(shape)
     kind = bsdf.class_name() if bsdf is not None else "none"
     if shape.class_name() in ("Instance", "ShapeGroup"):
-        raise SceneError(f"{name} is an instance, which refscatter does not support yet: give each copy as a mesh of its own")
+        raise SceneError(
+            f"{name} is an instance, which refscatter does not support yet: give each copy as a mesh of its own"
+        )
     if shape.exterior_medium() is not None:
         raise SceneError(f"{name} has an exterior medium: refscatter computes scattering inside bodies only; remove it")
     if kind in DELTA_ONLY:
@@ -184,10 +186,14 @@ def _is_body(shape):
         raise SceneError(f"{name} is a {shape.class_name().lower()} with a dielectric BSDF: refscatter needs a triangle mesh; "
                          "use a ply or obj of it")  # fmt: skip
     if shape.is_emitter():
-        raise SceneError(f"{name} is a dielectric body and an emitter at once: refscatter does not support this; remove the emitter")
+        raise SceneError(
+            f"{name} is a dielectric body and an emitter at once: refscatter does not support this; remove the emitter"
+        )
     for key, value in mi.traverse(bsdf):
         if key.startswith("specular_") and not dr.all(dr.ravel(value) == 1):
-            raise SceneError(f"{name} has the BSDF property {key} other than 1, which refscatter does not support yet: remove it")
+            raise SceneError(
+                f"{name} has the BSDF property {key} other than 1, which refscatter does not support yet: remove it"
+            )
     return True
 
 
@@ -256,12 +262,16 @@ def _read_medium(body, medium):
     if medium is None:
         return
     if medium.class_name() != "HomogeneousMedium":
-        raise SceneError(f"{body.name} has the interior medium {medium.class_name()}: refscatter needs a homogeneous one")
+        raise SceneError(
+            f"{body.name} has the interior medium {medium.class_name()}: refscatter needs a homogeneous one"
+        )
     phase = medium.phase_function()
     if phase.class_name() == "HGPhaseFunction":
         body.g = dr.opaque(mi.Float, float(dr.ravel(mi.traverse(phase)["g"])[0]))
     elif phase.class_name() != "IsotropicPhaseFunction":
-        raise SceneError(f"{body.name} has the phase function {phase.class_name()}: refscatter supports isotropic and hg")
+        raise SceneError(
+            f"{body.name} has the phase function {phase.class_name()}: refscatter supports isotropic and hg"
+        )
     body.medium = medium
     parameters = mi.traverse(medium)
     albedo = [value for key, value in parameters if key.startswith("albedo.")]
@@ -287,6 +297,8 @@ def _read_lights(scene, bodies, scatters):
             raise SceneError(f"{name} has a position that is not finite: mend it")
         for body in bodies:
             if mesh_facts.encloses(body.corners, position):
-                raise SceneError(f"{name} is inside {body.name}: refscatter supports lights outside of bodies only; move it out")
+                raise SceneError(
+                    f"{name} is inside {body.name}: refscatter supports lights outside of bodies only; move it out"
+                )
         lights.append(PointLight(name, len(lights), emitter, position))
     return lights

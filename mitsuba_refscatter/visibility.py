@@ -51,7 +51,7 @@ class Shadows:
             return dr.arange(mi.UInt32, dr.width(triangles)), dr.full(mi.Bool, True, dr.width(triangles))
         corners = self.body.corners[triangles.numpy().astype(np.int64) - self.body.first_record]
         edges = [silhouette.silhouette_edges(b.corners, b.normals, b.twin, self.position) for b in self.scene.bodies]
-        uniform = silhouette.uniform(corners, np.concatenate(edges), self.position)
+        uniform = self._uniform(corners, np.concatenate(edges), triangles)
         for shape in self.scene.others:
             uniform &= self._beside(corners, shape.bbox())
         tri = triangle.gather(self.scene.records, triangles)
@@ -59,6 +59,17 @@ class Shadows:
         uniform = mi.Bool(uniform)
         kept = dr.compress(visible | ~uniform)
         return kept, dr.gather(mi.Bool, uniform, kept)
+
+    def _uniform(self, corners, edges, triangles):
+        """Which triangles no silhouette edge is in front of."""
+        uniform = silhouette.uniform(corners, edges, self.position)
+        rest = np.flatnonzero(~uniform)
+        if len(rest) > 0 and len(edges) > 0:
+            tri = triangle.gather(self.scene.records, dr.gather(mi.UInt32, triangles, mi.UInt32(rest.astype(np.uint32))))
+            relative = [p - self.L for p in (tri.P0, tri.P0 + tri.P_u, tri.P0 + tri.P_v)]
+            skin = tolerances.SHADOW_OFFSET * self.scene.extent
+            uniform[rest] = ~silhouette.covered(relative, tri.Ng, edges - self.position, skin).numpy()
+        return uniform
 
     def _beside(self, corners, box):
         """Triangles whose box with the light does not meet ``box``: nothing in it can shadow them."""

@@ -119,7 +119,9 @@ class Work:
             if len(part) > tolerances.PIECES and part.tau0 is not None:
                 todo += part.halves()
             elif len(part) > 0:
-                rest = curve.accumulate(self.sums, part, self.segments, self.beams, self.records, self.lighting, self.accuracy)
+                rest = curve.accumulate(
+                    self.sums, part, self.segments, self.beams, self.records, self.lighting, self.accuracy
+                )
                 if len(rest) > 0:
                     todo.append(rest.cut(tolerances.CUT))
 
@@ -149,7 +151,9 @@ class Work:
         quarters.level += 1
         tri = triangle.gather(self.records, dr.gather(mi.UInt32, self.beams.triangles, quarters.beam))
         zeros = curve.zeros(quarters, self.segments, self.beams, tri, self.lighting)
-        bent = (zeros.nonlinearity > dr.opaque(mi.Float, self.accuracy.linear)) & (quarters.level < tolerances.MAX_SUBDIVISION)
+        bent = (zeros.nonlinearity > dr.opaque(mi.Float, self.accuracy.linear)) & (
+            quarters.level < tolerances.MAX_SUBDIVISION
+        )
         solvable, go_on = zeros.bracketed & ~bent, zeros.possible & bent
         dr.eval(quarters.code, quarters.level, quarters.segment, quarters.beam, solvable, go_on)
         return quarters.gather(dr.compress(solvable)), quarters.gather(dr.compress(go_on))

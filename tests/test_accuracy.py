@@ -75,7 +75,9 @@ def water(size=20.0, depth=10.0, cells=48):
     below = len(index.ravel()) + np.arange(len(rim))
     next_rim, next_below = np.roll(rim, -1), np.roll(below, -1)
     floor = np.full(len(rim), below[-1] + 1)
-    faces += [np.stack(t, 1) for t in ((rim, below, next_rim), (next_rim, below, next_below), (below, floor, next_below))]
+    faces += [
+        np.stack(t, 1) for t in ((rim, below, next_rim), (next_rim, below, next_below), (below, floor, next_below))
+    ]
     flat = top.reshape(-1, 3)
     low = flat[rim] - [0, 0, depth]
     return Mesh(np.concatenate([flat, low, [[0, 0, -depth]]]), np.concatenate(faces), None)

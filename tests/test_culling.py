@@ -4,8 +4,6 @@ Brute force over all triangles in float64 finds which (camera segment, triangle)
 triangle is cut into many small ones, on which g = (P - o) . (d x omega) is taken as linear.
 """
 
-import dataclasses
-
 import build
 import drjit as dr
 import mitsuba as mi
@@ -14,11 +12,15 @@ import oracle
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from meshes import BoxTree, Mesh, dot, icosphere, make_patches, norm, take, triangle_grid
+from meshes import BoxTree, Mesh, bumpy_sphere, dot, icosphere, make_patches, norm, take, triangle_grid
+from scipy.spatial import ConvexHull, HalfspaceIntersection
+from test_accuracy import read_mesh
 
 from mitsuba_refscatter import tolerances, wavefront
+from mitsuba_refscatter.culling import beam
 from mitsuba_refscatter.culling import beams as light_beams
-from mitsuba_refscatter.geometry import bvh, silhouette
+from mitsuba_refscatter.geometry import mesh as mesh_facts
+from mitsuba_refscatter.geometry import silhouette
 from mitsuba_refscatter.options import Options
 
 LOST = 1e-5
@@ -41,7 +43,7 @@ def vertex_normals(vertices, faces):
     return normals / norm(normals)
 
 
-def random_body(rng, level, amplitude, stretch, smooth):
+def wavy(rng, level, amplitude, stretch, smooth):
     """A sphere with random waves on it, stretched by up to ``stretch`` along random axes and moved a little."""
     sphere = icosphere(level)
     x, waves = sphere.vertices, rng.normal(size=(4, 3)) * 2.5
@@ -49,6 +51,37 @@ def random_body(rng, level, amplitude, stretch, smooth):
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     vertices = build.rounded(r * x @ turn.T * rng.uniform(1 / stretch, 1, 3) @ turn + rng.uniform(-3, 3, 3))
     return Mesh(vertices, sphere.faces, build.rounded(vertex_normals(vertices, sphere.faces)) if smooth else None)
+
+
+def cut_box(rng, level):
+    """A box with corners and edges cut off, its facets quartered ``level`` times."""
+    sides = np.concatenate([np.eye(3), -np.eye(3), rng.normal(size=(rng.integers(1, 8), 3))])
+    planes = np.hstack([sides / norm(sides), -rng.uniform(0.6, 1, (len(sides), 1))])
+    points = HalfspaceIntersection(planes, np.zeros(3)).intersections
+    hull = ConvexHull(points)
+    corners = points[hull.simplices]
+    turned = dot(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), hull.equations[:, :3])[:, 0] < 0
+    corners[turned] = corners[turned, ::-1]
+    for _ in range(level):
+        a, b, c = corners.transpose(1, 0, 2)
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        corners = np.concatenate([np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    vertices, faces = np.unique(build.rounded(corners).reshape(-1, 3).round(6), axis=0, return_inverse=True)
+    return Mesh(build.rounded(vertices), faces.reshape(-1, 3), None)
+
+
+def torus(around, across, radius):
+    """A ring of radius 1 and thickness ``radius`` with 2 * around * across triangles and facet normals."""
+    a, b = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
+    phi, psi = 2 * np.pi * a / around, 2 * np.pi * b / across
+    ring = 1 + radius * np.cos(psi)
+    points = np.stack([ring * np.cos(phi), ring * np.sin(phi), radius * np.sin(psi)], axis=-1).reshape(-1, 3)
+
+    def at(i, j):
+        return (((a + i) % around) * across + (b + j) % across).ravel()
+
+    faces = [np.stack([at(0, 0), at(1, 0), at(1, 1)], 1), np.stack([at(0, 0), at(1, 1), at(0, 1)], 1)]
+    return Mesh(build.rounded(points), np.concatenate(faces), None)
 
 
 def chords(mesh, rng, n):
@@ -133,19 +166,210 @@ class Culling:
     def __init__(self, scene, tolerance=0.01):
         from mitsuba_refscatter.integrators.refscatter import Prepared  # made anew for each variant
 
-        prepared = Prepared(scene, Options(tolerance=tolerance))
-        self.body, light = prepared.scene.bodies[0], prepared.scene.lights[0]
-        self.lighting, self.beams = prepared.beams(self.body, light)
+        self.prepared = Prepared(scene, Options(tolerance=tolerance))
+        self.body, light = self.prepared.scene.bodies[0], self.prepared.scene.lights[0]
+        self.lighting, self.beams = self.prepared.beams(self.body, light)
+
+    def segments(self, o, d, t_max):
+        o, d = (np.asarray(x, np.float32).T for x in (o - self.body.centre, d))
+        return wavefront.Segments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max.astype(np.float32)), mi.Spectrum(SIGMA))
+
+    def leaves(self, segments):
+        """The (segment, leaf) pairs of the tree: two index arrays, of which the first ``found`` places count."""
+        lane, leaf, found = wavefront._traverse(segments, self.beams, 0, len(segments))
+        assert found <= tolerances.CHUNK_PAIRS
+        return lane, leaf, found
 
     def candidates(self, o, d, t_max):
         """(segment, triangle) of every beam that is looked at."""
-        o, d = (np.asarray(x, np.float32).T for x in (o - self.body.centre, d))
-        segments = wavefront.Segments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max.astype(np.float32)), mi.Spectrum(1))
-        lane, leaf, found = wavefront._traverse(segments, self.beams, 0, len(t_max))
-        assert found <= tolerances.CHUNK_PAIRS
+        segments = self.segments(o, d, t_max)
+        lane, leaf, found = self.leaves(segments)
         if found == 0:
             return np.zeros(0, int), np.zeros(0, int)
         zeros = light_beams.candidates(self.beams, segments, lane, leaf, found)
         pairs = light_beams.pairs_at(lane, leaf, dr.compress(zeros.possible))
         triangle = dr.gather(mi.UInt32, self.beams.triangles, pairs.beam) - self.body.first_record
         return pairs.segment.numpy().astype(int), triangle.numpy().astype(int)
+
+
+def one_body(mesh, eta, light, folder, tolerance=0.01):
+    shape = build.mesh_shape(mesh, folder / "mesh.ply", eta=eta)
+    return Culling(mi.load_dict({"type": "scene", "body": shape, "light": build.point_light(light)}), tolerance)
+
+
+def lost_and_looked_at(mesh, eta, light, culling, o, d, t_max):
+    """Share of the light from pairs that the culling drops, and candidates per contributing pair.
+
+    Dropped on purpose is only what the light does not reach: a triangle in the shadow of others."""
+    segment, triangle = culling.candidates(o, d, t_max)
+    ray, tri, value, uv = contributing(mesh, eta, light, o, d, t_max)
+    numbers = len(mesh.faces) * np.stack([ray]) + tri
+    lost = ~np.isin(numbers[0], len(mesh.faces) * segment + triangle)
+    point = oracle.light_ray(take(make_patches(mesh, eta), tri[lost]), uv[lost], light, eta).point
+    seen = BoxTree([mesh]).clear(point, np.broadcast_to(light, point.shape), tri[lost])
+    return value[lost][seen].sum() / value.sum(), len(segment) / len(np.unique(numbers))
+
+
+# ---- No pair is lost ------------------------------------------------------------------------
+
+CASES = st.fixed_dictionaries({
+    "seed": st.integers(0, 2**32 - 1),
+    "boxy": st.booleans(),
+    "level": st.integers(1, 3),
+    "amplitude": st.floats(0, 0.4),
+    "stretch": st.floats(1, 3),
+    "smooth": st.booleans(),
+    "eta": st.one_of(st.floats(1.05, 2.4), st.floats(1.05, 2.4), st.floats(0.5, 0.97)),
+    "distance": st.floats(-1.5, 1.2),
+    "tolerance": st.sampled_from([0.0, 0.01, 0.5]),
+})  # fmt: skip
+
+
+def no_pair_is_lost(examples, folder):
+    """The same examples at every run; prints how loose the culling is."""
+    looked_at = []
+
+    @settings(max_examples=examples, derandomize=True, deadline=None, database=None,
+              suppress_health_check=list(HealthCheck))  # fmt: skip
+    @given(CASES)
+    def check(case):
+        rng = np.random.default_rng(case["seed"])
+        if case["boxy"]:
+            mesh = cut_box(rng, case["level"])
+        else:
+            mesh = wavy(rng, case["level"], case["amplitude"], case["stretch"], case["smooth"])
+        middle, side = mesh.vertices.mean(0), rng.normal(size=3)
+        radius = norm(mesh.vertices - middle).max() * (1 + 10 ** case["distance"])
+        light = build.rounded(middle + radius * side / norm(side))
+        culling = one_body(mesh, case["eta"], light, folder, case["tolerance"])
+        lost, ratio = lost_and_looked_at(mesh, case["eta"], light, culling, *chords(mesh, rng, 60))
+        looked_at.append(ratio)
+        assert lost < LOST
+
+    check()
+    print(f"candidates per contributing pair: median {np.median(looked_at):.1f}, largest {max(looked_at):.1f}")
+
+
+def test_no_pair_is_lost(rgb, tmp_path):
+    no_pair_is_lost(25, tmp_path)
+
+
+@pytest.mark.slow
+def test_no_pair_is_lost_in_many_bodies(rgb, tmp_path):
+    no_pair_is_lost(500, tmp_path)
+
+
+def bevelled_box(rows=40):
+    """A box of edge 2 of which the edge at (-1, -1) is cut off; its sides are cut in ``rows`` along z."""
+    ring = [(-1, 0), (0, -1), (1, -1), (1, 1), (-1, 1)]
+    points = [(x, y, z) for z in np.linspace(-1, 1, rows + 1) for x, y in ring] + [(0, 0, -1), (0, 0, 1)]
+    faces, end = [], len(points) - 2
+    for i in range(5):
+        j = (i + 1) % 5
+        faces += [(5 * r + i, 5 * r + j, 5 * r + 5 + k) for r in range(rows) for k in (j,)]
+        faces += [(5 * r + i, 5 * r + 5 + j, 5 * r + 5 + i) for r in range(rows)]
+        faces += [(end, j, i), (end + 1, 5 * rows + i, 5 * rows + j)]
+    return Mesh(np.array(points, float), np.array(faces), None)
+
+
+def test_beams_into_a_corner(rgb, tmp_path):
+    """Through the cut edge of a box into the edge opposite: rays in the middle of a beam run further than those
+    at its corners."""
+    mesh, eta, light = bevelled_box(), 1.3, np.array([-11.6, -11.6, -13.7])
+    n = 40
+    o = build.rounded(np.stack([np.ones(n), np.full(n, 0.8), np.linspace(-0.9, 0.9, n)], axis=1))
+    d = build.rounded(np.tile([-1, 1, 0], (n, 1)) / 2**0.5)
+    culling = one_body(mesh, eta, light, tmp_path)
+    lost, _ = lost_and_looked_at(mesh, eta, light, culling, o, d, build.rounded(np.full(n, 0.2 * 2**0.5)))
+    assert lost < LOST
+
+
+def test_little_is_looked_at_in_vain(rgb):
+    """On the shipped bumpy sphere at most 6 candidates per contributing pair are wanted; there are 1.1 to 1.3."""
+    scene = mi.load_file("scenes/bumpy_sphere/scene.xml", optimize=False)
+    mesh, light = read_mesh(scene), np.array(mi.traverse(scene.emitters()[0])["position"]).ravel().astype(float)
+    rays = build.rays_at((0.0, 1.1, 5.2), 0.95, 120, seed=5)
+    legs = oracle.camera_segments([oracle.Body(mesh, 1.5, np.ones(1), np.ones(1))], *rays, 1)
+    lost, ratio = lost_and_looked_at(mesh, 1.5, light, Culling(scene), legs.o, legs.d, legs.t_max)
+    integrator = mi.load_dict({"type": "refscatter", "surfaces": False, "aovs": "candidates, contributions"})
+    counts = np.array(integrator.render(scene, spp=1))[..., -2:].sum((0, 1))
+    print(f"candidates per contributing pair: {ratio:.2f}; in the image, shadows out: {counts[0] / counts[1]:.2f}")
+    assert lost < LOST
+    assert 1 <= ratio < 2 and 1 <= counts[0] / counts[1] < 2
+
+
+# ---- Proofs of visibility -------------------------------------------------------------------
+
+INSIDE = np.array([(i + 0.5, j + 0.5) for i in range(6) for j in range(6) if i + j < 5]) / 6.5
+"""Points (u, v) spread over a triangle."""
+
+
+def concave_bodies():
+    """Lists of bodies, with the least share of proven triangles and of proven length (worst of the lights below)."""
+    rng, ball = np.random.default_rng(3), bumpy_sphere(2)
+    beside = Mesh(build.rounded(0.6 * ball.vertices + [2.2, 0.3, 0.1]), ball.faces, ball.normals)
+    return {
+        "torus": [torus(60, 30, 0.4)],
+        "wavy": [wavy(rng, 4, 0.35, 1.5, True)],
+        "bumpy": [bumpy_sphere(4, 0.12, 6.0)],
+        "two": [bumpy_sphere(3, 0.12, 6.0), beside],
+        "coarse": [wavy(rng, 2, 0.4, 2.0, False)],
+    }
+
+
+def lights_around(mesh, distances=(1.1, 2.0, 6.0)):
+    middle = mesh.vertices.mean(0)
+    radius = norm(mesh.vertices - middle).max()
+    directions = np.random.default_rng(8).normal(size=(len(distances), 3)) * [1, 0.4, 0.4]
+    return [build.rounded(middle + f * radius * w / norm(w)) for f, w in zip(distances, directions)]
+
+
+@pytest.mark.parametrize("name", concave_bodies())
+def test_uniform_triangles_are_lit_or_dark_throughout(name):
+    """No triangle that is said to be lit uniformly has points in the light and in shadow; 4 of 10 are proven."""
+    meshes, shares = concave_bodies()[name], []
+    tree = BoxTree(meshes)
+    for light in lights_around(meshes[0]):
+        edges = np.concatenate([edges_seen(m, light) for m in meshes])
+        for k, mesh in enumerate(meshes):
+            facing = np.flatnonzero(dot(light - mesh.corners[:, 0], mesh.facet_normals) > 0)
+            claimed = silhouette.uniform(mesh.corners[facing], edges, light)
+            tri, uv = np.repeat(facing, len(INSIDE)), np.tile(INSIDE, (len(facing), 1))
+            point = oracle.light_ray(take(make_patches(mesh, 1.5), tri), uv, light, 1.5).point
+            free = tree.clear(point, np.broadcast_to(light, point.shape), tri + tree.first[k]).reshape(len(facing), -1)
+            mixed = free.any(1) & ~free.all(1)
+            assert not (claimed & mixed).any()
+            shares.append(claimed.mean())
+    print(f"{name}: proven {np.round(shares, 2)}")
+    assert np.mean(shares) > 0.4
+
+
+def edges_seen(mesh, light):
+    twin = mesh_facts.twins(mesh_facts.weld(mesh.vertices, mesh.faces))
+    return silhouette.silhouette_edges(mesh.corners, mesh.facet_normals, twin, light)
+
+
+@pytest.mark.parametrize("eta", [0.8, 1.2, 1.5, 2.2])
+@pytest.mark.parametrize("name", [name for name in concave_bodies() if name != "two"])
+def test_beams_are_free_as_far_as_said(rgb, tmp_path, name, eta):
+    """No ray of a beam leaves its body before the beam's clear length, which is a good part of the way (half, for
+    eta < 1 a tenth, in the mean over rays)."""
+    mesh, proven = concave_bodies()[name][0], []
+    for light in lights_around(mesh):
+        culling = one_body(mesh, eta, light, tmp_path)
+        record = culling.beams.records.numpy().reshape(-1, beam.BEAM).astype(float)
+        triangle = culling.beams.triangles.numpy().astype(int) - culling.body.first_record
+        uv = np.concatenate([INSIDE, np.eye(3)[:, :2]])
+        index = np.repeat(np.arange(len(record)), len(uv))
+        uv = record[index, 20:22] + record[index, 22:23] * np.tile(uv, (len(record), 1))
+        patch, clear = take(make_patches(mesh, eta), triangle[index]), record[index, 23]
+        x = oracle.light_ray(patch, uv, light, eta)
+        enters = ((x.c_l > 0) & (x.radicand > 0) & (dot(x.omega, patch.ng) < 0))[:, 0]
+        skip = triangle[index][enters]
+        ray, _, t, _, _ = BoxTree([mesh]).closest(x.point[enters], x.omega[enters], skip)
+        way, said = t[:, 0], clear[enters][ray]
+        # float32 places the points to 1e-7 of their coordinates.
+        assert (way > said * (1 - 1e-5) - 1e-5).all()
+        proven.append(np.mean(np.minimum(said, way) / way))
+    print(f"{name}, eta {eta}: proven {np.round(proven, 2)}")
+    assert np.mean(proven) > (0.5 if eta > 1 else 0.1)

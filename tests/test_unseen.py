@@ -47,7 +47,9 @@ def oracle_bodies(scene):
     for shape in scene.shapes():  # in any order
         eta, sigma_t, albedo, g = MEDIA[int(shape.id()[-1])]
         parameters = mi.traverse(shape)
-        vertices, normals = (np.array(parameters[f"vertex_{x}"], float).reshape(-1, 3) for x in ("positions", "normals"))
+        vertices, normals = (
+            np.array(parameters[f"vertex_{x}"], float).reshape(-1, 3) for x in ("positions", "normals")
+        )
         faces = np.array(parameters["faces"], int).reshape(-1, 3)[:, ::-1]
         sigma_t = np.array(sigma_t)
         bodies.append(oracle.Body(Mesh(vertices, faces, normals), eta, sigma_t * albedo, sigma_t, g or 0.0))

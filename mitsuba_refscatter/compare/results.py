@@ -36,5 +36,7 @@ def write(directory, rows, version):
     """Writes ``results.json`` (beside it first, then renamed); returns its path."""
     path = Path(directory) / "results.json"
     data = {"schema": SCHEMA, "version": version, "machine": machine(), "rows": rows}
-    output.write_file(path, lambda unfinished: unfinished.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8"))
+    output.write_file(
+        path, lambda unfinished: unfinished.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    )
     return path

@@ -48,10 +48,10 @@ def measure(setup):
         path, triangles = scene_files.write_scene(setup.scene, directory, setup.triangles)
         scene = mi.load_file(str(path), optimize=False, res=str(setup.resolution))
     candidates, contributions, rays = _pairs(scene, setup)
-    integrator = mi.load_dict({"type": "refscatter", **setup.settings()})
+    integrator, reference = mi.load_dict({"type": "refscatter", **setup.settings()}), _volpath_scene(scene)
     render = {
         "refscatter": lambda: integrator.render(scene, spp=1),
-        "volpath": lambda scene=_volpath_scene(scene): scene.integrator().render(scene, spp=setup.samples),
+        "volpath": lambda: reference.integrator().render(reference, spp=setup.samples),
     }
     render["refscatter"]()  # compiles; the peak memory of volpath is not ours
     render["refscatter"]()

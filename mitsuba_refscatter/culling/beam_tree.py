@@ -155,5 +155,3 @@ def node_test(segments):
         return met & (near <= far) & (far >= 0) & (near <= t_max)
 
     return hit
-
-

@@ -122,7 +122,9 @@ def _beam(tri, light, u0, v0, h, clear):
     most 4/3 of what it does at the edges' middles; 2 leaves room for the cubic part. ``twist`` bounds the
     same for what is bilinear in position and direction, as g and m are: 4/3 of |edge| |change| / 4.
     """
-    P, omega = zip(*(light_beam.refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light) for u, v in light_beam.CORNERS))
+    P, omega = zip(
+        *(light_beam.refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light) for u, v in light_beam.CORNERS)
+    )
     bend, twist = mi.Float(0), mi.Float(0)
     for i, (u, v) in enumerate(light_beam.MIDDLES):
         j, k = (i + 1) % 3, (i + 2) % 3

@@ -49,7 +49,9 @@ class Surface:
         """
         axis_P, axis = (P[0] + P[1] + P[2]) / 3, dr.normalize(omega[0] + omega[1] + omega[2])
         start = dr.maximum(dr.norm(P[0] - axis_P), dr.maximum(dr.norm(P[1] - axis_P), dr.norm(P[2] - axis_P)))
-        spread = dr.maximum(dr.norm(omega[0] - axis), dr.maximum(dr.norm(omega[1] - axis), dr.norm(omega[2] - axis))) + bend
+        spread = (
+            dr.maximum(dr.norm(omega[0] - axis), dr.maximum(dr.norm(omega[1] - axis), dr.norm(omega[2] - axis))) + bend
+        )
         wide = spread > 0.5
 
         def visit(x, leaf, at_leaf, active, best):
@@ -74,7 +76,10 @@ class Surface:
         near, touched = _first_touch(middle - axis_P, radius, axis, start, spread)
         # Where the linear beam meets the plane: a ratio of linear functions, smallest at a corner.
         cosines = [dr.dot(w, tri.Ng) for w in omega]
-        steepest, flattest = dr.maximum(dr.maximum(*cosines[:2]), cosines[2]), dr.minimum(dr.minimum(*cosines[:2]), cosines[2])
+        steepest, flattest = (
+            dr.maximum(dr.maximum(*cosines[:2]), cosines[2]),
+            dr.minimum(dr.minimum(*cosines[:2]), cosines[2]),
+        )
         plane = mi.Float(1e30)
         for p, c in zip(P, cosines):
             plane = dr.minimum(plane, dr.dot(tri.P0 - p, tri.Ng) / dr.maximum(c, 1e-6))

@@ -143,7 +143,9 @@ def _piece(x, pairs, tri, lighting):
         return _Piece(*light_beam.corners(x), bend, twist, u0, v0, h)
     u, v, size = light_beam.sub_triangle(pairs.code, pairs.level)
     u0, v0, h = u0 + h * u, v0 + h * v, h * size
-    P, omega = zip(*(light_beam.refracted(tri, u0 + h * u, v0 + h * v, lighting.L, lighting.eta) for u, v in light_beam.CORNERS))
+    P, omega = zip(
+        *(light_beam.refracted(tri, u0 + h * u, v0 + h * v, lighting.L, lighting.eta) for u, v in light_beam.CORNERS)
+    )
     smaller = dr.rcp(mi.Float(1 << (2 * pairs.level)))
     return _Piece(P, omega, bend * smaller, twist * smaller, u0, v0, h)
 

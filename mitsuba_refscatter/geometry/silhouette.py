@@ -3,9 +3,12 @@
 Along a triangle the number of surfaces between it and a light changes only where the line of sight
 passes a silhouette edge (between a facet that faces the light and one that does not). Triangles with no
 silhouette edge in front of them in the light's view are therefore all lit or all in shadow. Holds for closed
-meshes that do not cut through each other or themselves. NumPy float64.
+meshes that do not cut through each other or themselves. A raster of the light's view (NumPy float64) settles most
+triangles, an exact test of all edges (Dr.Jit) the others.
 """
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 WIDEST = 0.5
@@ -37,7 +40,9 @@ def uniform(corners, edges, light):
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
     levels = int(np.clip(np.ceil(np.log2(8 * np.sqrt(len(corners)))), 6, 11))
     scale = ((1 << levels) - 4) / np.maximum(high - low, 1e-30)
-    nearest = _raster((edge_points.reshape(-1, 2, 2) - low) * scale + 2, edge_depth.reshape(-1, 2).min(axis=1), 1 << levels)
+    nearest = _raster(
+        (edge_points.reshape(-1, 2, 2) - low) * scale + 2, edge_depth.reshape(-1, 2).min(axis=1), 1 << levels
+    )
     if nearest is None:
         return none
     first = np.floor((points.min(axis=1) - low) * scale).astype(int) + 1
@@ -93,3 +98,30 @@ def _least(raster, first, last):
         if len(raster) > 1:
             raster = raster.reshape(len(raster) // 2, 2, len(raster) // 2, 2).min(axis=(1, 3))
     return out
+
+
+def covered(corners, normal, edges, skin):
+    """Whether any edge is in front of triangles: lanes of three ``corners`` (Vector3f), the facet's ``normal``; edges
+    (E, 2, 3), all relative to the light. Edges within ``skin`` of a triangle's plane do not count."""
+    flat, count = mi.Float(np.asarray(edges, np.float32).ravel()), dr.opaque(mi.UInt32, len(edges))
+    skin = dr.opaque(mi.Float, skin)
+    sides = []
+    for k in range(3):
+        n = dr.normalize(dr.cross(corners[k], corners[(k + 1) % 3]))
+        sides.append(n * dr.sign(dr.dot(n, corners[(k + 2) % 3])))
+
+    def test(j, found):
+        a, b = (dr.gather(mi.Vector3f, flat, 2 * j + k) for k in range(2))
+        slack = 1e-5 * dr.maximum(dr.norm(a), dr.norm(b))  # float32: better a little wider
+        low, high = mi.Float(0), mi.Float(1)
+        bounds = [(dr.dot(n, a) + slack, dr.dot(n, b) + slack) for n in sides]
+        bounds.append((dr.dot(normal, a - corners[0]) - skin, dr.dot(normal, b - corners[0]) - skin))
+        for at_a, at_b in bounds:
+            zero = at_a / dr.select(at_a == at_b, 1, at_a - at_b)
+            low = dr.select(at_a < 0, dr.select(at_b < 0, 2, dr.maximum(low, zero)), low)
+            high = dr.select((at_b < 0) & (at_a >= 0), dr.minimum(high, zero), high)
+        return j + 1, found | (low <= high)
+
+    n = dr.width(normal)
+    state = (dr.zeros(mi.UInt32, n), dr.zeros(mi.Bool, n))
+    return dr.while_loop(state, lambda j, found: (j < count) & ~found, test, label="silhouette", mode="symbolic")[1]

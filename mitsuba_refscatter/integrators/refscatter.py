@@ -119,14 +119,21 @@ class Prepared:
         if key not in self._beams:
             L = dr.opaque(mi.Point3f, [float(x) for x in light.position - body.centre])
             shadows = visibility.Shadows(self.scene, body, light.position, L)
-            lighting = curve.Lighting(L, dr.opaque(mi.Float, body.eta), body.eta < 1, body.g, shadows.lit, shadows.inside)
+            lighting = curve.Lighting(
+                L, dr.opaque(mi.Float, body.eta), body.eta < 1, body.g, shadows.lit, shadows.inside
+            )
             clear = self._surface(body).clear if shadows.may_prove_inside else None
-            self._beams[key] = (lighting, light_beams.build(body, self.scene.records, L, self.accuracy.bend, shadows.seen, clear))
+            self._beams[key] = (
+                lighting,
+                light_beams.build(body, self.scene.records, L, self.accuracy.bend, shadows.seen, clear),
+            )
         return self._beams[key]
 
     def _surface(self, body):
         if body.index not in self._surfaces:
-            self._surfaces[body.index] = clearance.Surface(self.scene.records, body.first_record, body.corners - body.centre)
+            self._surfaces[body.index] = clearance.Surface(
+                self.scene.records, body.first_record, body.corners - body.centre
+            )
         return self._surfaces[body.index]
 
 
@@ -152,7 +159,9 @@ def scatter(prepared, paths, ray, n, detail, progress):
         sigma_s, sigma_t = body.coefficients(wavelengths)
         segments = Segments(o - mi.Point3f(dr.opaque(mi.Point3f, body.centre)), d, t_max, sigma_t)
         report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
-        sums, candidates, counts = wavefront.scatter(segments, beams, scene.records, lighting, prepared.accuracy, detail, report)
+        sums, candidates, counts = wavefront.scatter(
+            segments, beams, scene.records, lighting, prepared.accuracy, detail, report
+        )
         prepared.counts.add(counts)
         factor = weight * sigma_s * light.intensity(wavelengths)
         dr.scatter_add(single.radiance, factor * sums.value, sample)
@@ -198,5 +207,7 @@ def _nested(props, hide_emitters):
     if not isinstance(nested[0], mi.SamplingIntegrator):
         raise options.OptionError("refscatter: the nested integrator does not work along rays: use path")
     if {nested[0].class_name(), type(nested[0]).__name__} & set(NESTED_WITH_MEDIA):
-        raise options.OptionError("refscatter: the nested integrator samples media, which would count scattering twice: use path")
+        raise options.OptionError(
+            "refscatter: the nested integrator samples media, which would count scattering twice: use path"
+        )
     return nested[0]
