@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import oracle
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
 from meshes import BoxTree, Mesh, bumpy_sphere, dot, icosphere, make_patches, norm, take, triangle_grid
 from scipy.spatial import ConvexHull, HalfspaceIntersection
@@ -147,7 +147,7 @@ def _brings(patch, uv, g, light, eta, o, d, t_max):
         x = oracle.light_ray(patch, point, light, eta)
         t, s, scale = oracle.meeting(x, o, d)
         inside = -dot(x.omega, patch.ng)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):  # where a value is not finite there is no light, see below
             t, s = t / scale, s / scale
             transmitted = 2 * eta * x.c_l**2 * (1 / (x.c_l + eta * x.c_v) ** 2 + 1 / (eta * x.c_l + x.c_v) ** 2)
             value = transmitted * patch.area2 * inside / x.d_l**2 * np.exp(-SIGMA * (t + s))
@@ -203,11 +203,12 @@ def lost_and_looked_at(mesh, eta, light, culling, o, d, t_max):
     Dropped on purpose is only what the light does not reach: a triangle in the shadow of others."""
     segment, triangle = culling.candidates(o, d, t_max)
     ray, tri, value, uv = contributing(mesh, eta, light, o, d, t_max)
-    numbers = len(mesh.faces) * np.stack([ray]) + tri
-    lost = ~np.isin(numbers[0], len(mesh.faces) * segment + triangle)
+    pairs = len(mesh.faces) * ray + tri
+    lost = ~np.isin(pairs, len(mesh.faces) * segment + triangle)
     point = oracle.light_ray(take(make_patches(mesh, eta), tri[lost]), uv[lost], light, eta).point
     seen = BoxTree([mesh]).clear(point, np.broadcast_to(light, point.shape), tri[lost])
-    return value[lost][seen].sum() / value.sum(), len(segment) / len(np.unique(numbers))
+    assume(len(pairs) > 0)
+    return value[lost][seen].sum() / value.sum(), len(segment) / len(np.unique(pairs))
 
 
 # ---- No pair is lost ------------------------------------------------------------------------
@@ -229,7 +230,7 @@ def no_pair_is_lost(examples, folder):
     """The same examples at every run; prints how loose the culling is."""
     looked_at = []
 
-    @settings(max_examples=examples, derandomize=True, deadline=None, database=None,
+    @settings(max_examples=examples, derandomize=True, deadline=None, database=None, phases=[Phase.generate],
               suppress_health_check=list(HealthCheck))  # fmt: skip
     @given(CASES)
     def check(case):
@@ -286,7 +287,7 @@ def test_beams_into_a_corner(rgb, tmp_path):
 
 def test_little_is_looked_at_in_vain(rgb):
     """On the shipped bumpy sphere at most 6 candidates per contributing pair are wanted; there are 1.1 to 1.3."""
-    scene = mi.load_file("scenes/bumpy_sphere/scene.xml", optimize=False)
+    scene = mi.load_file("scenes/bumpy_sphere/scene.xml", optimize=False, res=64)
     mesh, light = read_mesh(scene), np.array(mi.traverse(scene.emitters()[0])["position"]).ravel().astype(float)
     rays = build.rays_at((0.0, 1.1, 5.2), 0.95, 120, seed=5)
     legs = oracle.camera_segments([oracle.Body(mesh, 1.5, np.ones(1), np.ones(1))], *rays, 1)

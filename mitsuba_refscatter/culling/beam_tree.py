@@ -1,13 +1,16 @@
 """The tree over light beams: what its nodes bound, and the test of a camera segment against a node.
 
-A node bounds the Pluecker coordinates of all its light lines. With ``c`` the node's centre, a line through
-P with direction omega meets the camera line (o, d) where
+A node bounds all its light lines, each through a point P with direction omega, by a linear model:
 
-    g = (P - o) . (d x omega) = omega . k - d . m,   k = (c - o) x d,   m = (P - c) x omega
+    omega = omega0 + A delta + e,   delta = P - c,  |delta| <= h,  |e| <= r   (by component)
 
-is zero, so a node whose intervals of omega and m keep g off zero is skipped. This bounds the beams along
-their whole length; no beam is cut into pieces along it and no pair is found twice. A box around the beams
-tells whether the segment reaches them at all.
+with ``c`` the centre of the P box. Such a line meets the camera line (o, d) where
+
+    g = (P - o) . (d x omega) = omega0 . k + delta . (A^T k - omega0 x d) + e . k - d . (delta x (A delta + e)),
+
+k = (c - o) x d, is zero. The last two terms are small, so the first two tell nearly exactly whether that is
+possible. This bounds the beams along their whole length; no beam is cut into pieces along it and no pair is found
+twice. A box around the beams tells whether the segment reaches them at all.
 """
 
 from dataclasses import dataclass
@@ -18,55 +21,62 @@ import mitsuba as mi
 from ..geometry import bvh, triangle
 from . import beam
 
-NODE = 24
-"""Numbers per node: centre c, omega's middle and half width, m's middle and half width, box (7 x 3), pad."""
-
-
-def _cross_bound(a, b):
-    """Componentwise bound of |x cross y| for |x| <= a, |y| <= b."""
-    return mi.Vector3f(a.y * b.z + a.z * b.y, a.z * b.x + a.x * b.z, a.x * b.y + a.y * b.x)
+NODE = 28
+"""Numbers per node: c, h, omega0, A's columns, r, box (9 x 3), and a bound of the quadratic term."""
 
 
 @dataclass
 class Bounds:
-    """What a node bounds, as lower and upper corners: P, omega, m = (P - c) x omega, and the beams' box.
-
-    ``c`` is the middle of the P box. Empty where ``P_low > P_high``.
-    """
+    """What a node bounds: the box of P; the linear model's columns ``A``; the box of omega - A (P - c); the beams' box;
+    and the number of beams (for means). Empty where that is 0."""
 
     P_low: object
     P_high: object
-    omega_low: object
-    omega_high: object
-    m_low: object
-    m_high: object
+    A0: object
+    A1: object
+    A2: object
+    rest_low: object
+    rest_high: object
     box_low: object
     box_high: object
+    count: object
 
     def centre(self):
         return 0.5 * (self.P_low + self.P_high)
 
-    def m_about(self, c):
-        """Interval of (P - c) x omega about another centre."""
-        shift = self.centre() - c
-        middle = dr.cross(shift, 0.5 * (self.omega_low + self.omega_high))
-        half = _cross_bound(dr.abs(shift), 0.5 * (self.omega_high - self.omega_low))
-        return self.m_low + middle - half, self.m_high + middle + half
+    def half(self):
+        return 0.5 * (self.P_high - self.P_low)
+
+    def columns(self):
+        return self.A0, self.A1, self.A2
+
+    def rest_about(self, c, columns):
+        """Box of omega minus another linear model."""
+        shift = _times(columns, self.centre() - c)
+        slack = _times([dr.abs(a - b) for a, b in zip(self.columns(), columns)], self.half())
+        return self.rest_low - shift - slack, self.rest_high - shift + slack
 
     def fields(self):
         return tuple(self.__dict__.values())
 
 
+def _times(columns, x):
+    """The matrix with these columns times x."""
+    return columns[0] * x.x + columns[1] * x.y + columns[2] * x.z
+
+
 def merge(a, b):
     """Bounds of two nodes' union; ``a`` and ``b`` are field tuples of ``Bounds``."""
     a, b = Bounds(*a), Bounds(*b)
-    union = Bounds(*(dr.minimum(x, y) if i % 2 == 0 else dr.maximum(x, y)
-                     for i, (x, y) in enumerate(zip(a.fields(), b.fields()))))  # fmt: skip
-    c = union.centre()
-    (a_low, a_high), (b_low, b_high) = a.m_about(c), b.m_about(c)
-    union.m_low, union.m_high = dr.minimum(a_low, b_low), dr.maximum(a_high, b_high)
-    a_empty, b_empty = a.P_low.x > a.P_high.x, b.P_low.x > b.P_high.x
-    return tuple(dr.select(b_empty, x, dr.select(a_empty, y, z))
+    P_low, P_high = dr.minimum(a.P_low, b.P_low), dr.maximum(a.P_high, b.P_high)
+    c, share = 0.5 * (P_low + P_high), a.count / dr.maximum(a.count + b.count, 1)
+    columns = [share * x + (1 - share) * y for x, y in zip(a.columns(), b.columns())]
+    (a_low, a_high), (b_low, b_high) = a.rest_about(c, columns), b.rest_about(c, columns)
+    union = Bounds(
+        P_low, P_high, *columns, dr.minimum(a_low, b_low), dr.maximum(a_high, b_high),
+        dr.minimum(a.box_low, b.box_low), dr.maximum(a.box_high, b.box_high), a.count + b.count,
+    )  # fmt: skip
+    return tuple(dr.select(b.count == 0, x, dr.select(a.count == 0, y, z))
                  for x, y, z in zip(a.fields(), b.fields(), union.fields()))  # fmt: skip
 
 
@@ -77,42 +87,44 @@ FAR = 1e30
 def pack(fields):
     """The ``NODE`` numbers of a node."""
     b = Bounds(*fields)
-    empty = b.P_low.x > b.P_high.x
+    h, r = b.half(), 0.5 * (b.rest_high - b.rest_low)
+    change = _times([dr.abs(x) for x in b.columns()], h)
     out = []
     for x in (
-        b.centre(),
-        0.5 * (b.omega_low + b.omega_high),
-        0.5 * (b.omega_high - b.omega_low),
-        0.5 * (b.m_low + b.m_high),
-        0.5 * (b.m_high - b.m_low),
-        dr.select(empty, mi.Vector3f(FAR), b.box_low),
-        dr.select(empty, mi.Vector3f(FAR), b.box_high),
-    ):
+        b.centre(), h, 0.5 * (b.rest_low + b.rest_high), *b.columns(), r,
+        dr.select(b.count == 0, mi.Vector3f(FAR), b.box_low), dr.select(b.count == 0, mi.Vector3f(FAR), b.box_high),
+    ):  # fmt: skip
         out += [x.x, x.y, x.z]
-    return out + [mi.Float(0)] * 3
+    return out + [dr.norm(h) * (dr.norm(change) + dr.norm(r))]
 
 
 def _leaf_bounds(records, count, depth, body):
     """Bounds of the leaves, each of ``bvh.LEAF`` consecutive beams."""
     first = dr.arange(mi.UInt32, 1 << depth) * bvh.LEAF
     last = dr.opaque(mi.UInt32, count - 1)
-    items = []
+    bounds = None
     for j in range(bvh.LEAF):
         x = triangle.gather_numbers(records, dr.minimum(first + j, last), beam.BEAM)
-        items.append((beam.corners(x), x[18], x[19]))
-    every = [p for (P, _), _, _ in items for p in P]
-    P_low, P_high = _hull(every)
+        item = _beam_bounds(*beam.corners(x), x[18], body)
+        item.count = dr.select(first + j <= last, item.count, 0)
+        bounds = item.fields() if bounds is None else merge(bounds, item.fields())
+    return bounds
+
+
+def _beam_bounds(P, omega, bend, body):
+    """Bounds of single beams: the linear model is exact at the corners, ``bend`` bounds what is left in between."""
+    e1, e2 = P[1] - P[0], P[2] - P[0]
+    n = dr.cross(e1, e2)
+    area2 = dr.squared_norm(n)
+    # The dual basis of the edges in the triangle's plane; no model for needles, whose omega changes little.
+    fine = area2 > 1e-6 * dr.squared_norm(e1) * dr.squared_norm(e2)
+    b1, b2 = (dr.select(fine, x / dr.select(fine, area2, 1), 0) for x in (dr.cross(e2, n), dr.cross(n, e1)))
+    w1, w2 = omega[1] - omega[0], omega[2] - omega[0]
+    columns = [w1 * b1[k] + w2 * b2[k] for k in range(3)]
+    P_low, P_high = _hull(P)
     c = 0.5 * (P_low + P_high)
-    parts = []
-    for (P, omega), bend, twist in items:
-        reach = dr.maximum(dr.norm(P[0] - c), dr.maximum(dr.norm(P[1] - c), dr.norm(P[2] - c)))
-        parts.append((_hull(omega, bend), _hull([dr.cross(p - c, w) for p, w in zip(P, omega)], bend * reach + twist),
-                      _beam_box(P, omega, bend, body)))  # fmt: skip
-    fields = [P_low, P_high]
-    for k in range(3):
-        fields += [beam.fold(dr.minimum, [p[k][0] for p in parts]), beam.fold(dr.maximum, [p[k][1] for p in parts])]
-    empty = first > last
-    return tuple(dr.select(empty, mi.Vector3f(FAR if i % 2 == 0 else -FAR), x) for i, x in enumerate(fields))
+    rest_low, rest_high = _hull([w - _times(columns, p - c) for p, w in zip(P, omega)], bend)
+    return Bounds(P_low, P_high, *columns, rest_low, rest_high, *_beam_box(P, omega, bend, body), mi.Float(1))
 
 
 def _hull(points, pad=0):
@@ -142,16 +154,15 @@ def build(records, count, body):
 def node_test(segments):
     """The conservative test of a camera segment against a node, for ``bvh.traverse``."""
     o, d, t_max, inverse_d = segments.o, segments.d, segments.t_max, segments.inverse_d
-    absolute_d = dr.abs(d)
 
     def hit(x):
-        c, omega, e, m, r, low, high = (mi.Vector3f(x[i : i + 3]) for i in range(0, 21, 3))
+        c, h, omega, a0, a1, a2, r, low, high = (mi.Vector3f(x[i : i + 3]) for i in range(0, 27, 3))
         k = dr.cross(c - o, d)
-        g = dr.dot(omega, k) - dr.dot(d, m)
-        met = dr.abs(g) <= dr.dot(e, dr.abs(k)) + dr.dot(r, absolute_d)
+        linear = mi.Vector3f(dr.dot(a0, k), dr.dot(a1, k), dr.dot(a2, k)) - dr.cross(omega, d)
+        reach = dr.dot(dr.abs(linear), h) + dr.dot(r, dr.abs(k)) + x[27]
         t0, t1 = (low - o) * inverse_d, (high - o) * inverse_d
         near = dr.max(dr.minimum(t0, t1))
         far = dr.min(dr.maximum(t0, t1))
-        return met & (near <= far) & (far >= 0) & (near <= t_max)
+        return (dr.abs(dr.dot(omega, k)) <= reach) & (near <= far) & (far >= 0) & (near <= t_max)
 
     return hit
