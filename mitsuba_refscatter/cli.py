@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from . import __version__, meshcheck, output, platform
+from . import meshcheck, output, platform
 from . import scenes as scene_files
 from .compare import results
 from .compare import scaling as measure
@@ -284,7 +284,7 @@ def scaling(
     )
     out.print(table)
     if directory is not None:
-        out.print(str(results.write(directory, rows, __version__)), markup=False)
+        out.print(str(results.write(directory, rows)), markup=False)
 
 
 def main() -> None:

@@ -132,7 +132,9 @@ NESTED = [
 ]
 
 
-@pytest.mark.parametrize("nested, words", NESTED, ids=["-".join(re.findall(r"'type': '(\w+)'", str(n))) for n, _ in NESTED])
+@pytest.mark.parametrize(
+    "nested, words", NESTED, ids=["-".join(re.findall(r"'type': '(\w+)'", str(n))) for n, _ in NESTED]
+)
 def test_nested_integrator(make, nested, words):
     refused(lambda: make.scene(integrator={"type": "refscatter", "surfaces": False, "inside": nested}), *words)
 
@@ -237,7 +239,10 @@ def tilted():
 
 
 def grid():
-    return {"type": "gridvolume", "grid": mi.VolumeGrid(np.linspace(0.1, 0.9, 27, dtype=np.float32).reshape(3, 3, 3, 1))}
+    return {
+        "type": "gridvolume",
+        "grid": mi.VolumeGrid(np.linspace(0.1, 0.9, 27, dtype=np.float32).reshape(3, 3, 3, 1)),
+    }
 
 
 def glass(**properties):
@@ -267,12 +272,18 @@ BALLS = {
     "clear mask": (lambda: {**around("mask", opacity=0.5)(), "interior": None}, ["MaskBSDF", "plain dielectric"]),
     "transmittance": (lambda: {"bsdf": glass(specular_transmittance=0.5)}, ["specular_transmittance", "remove it"]),
     "reflectance": (lambda: {"bsdf": glass(specular_reflectance=0.5)}, ["specular_reflectance", "remove it"]),
-    "texture": (lambda: {"bsdf": glass(specular_transmittance=checkerboard())}, ["specular_transmittance", "remove it"]),
+    "texture": (
+        lambda: {"bsdf": glass(specular_transmittance=checkerboard())},
+        ["specular_transmittance", "remove it"],
+    ),
     "index 0": (lambda: {"bsdf": glass(int_ior=0.0)}, ["index of refraction", "positive"]),
     "index NaN": (lambda: {"bsdf": glass(int_ior=float("nan"))}, ["index of refraction", "nan", "positive"]),
     "exterior medium": (lambda: {"exterior": amber()}, ["exterior medium", "remove it"]),
     "emitter": (lambda: {"emitter": {"type": "area", "radiance": 1.0}}, ["emitter", "remove"]),
-    "heterogeneous": (lambda: {"interior": {"type": "heterogeneous", "sigma_t": grid()}}, ["Heterogeneous", "homogeneous"]),
+    "heterogeneous": (
+        lambda: {"interior": {"type": "heterogeneous", "sigma_t": grid()}},
+        ["Heterogeneous", "homogeneous"],
+    ),
     "albedo varies": (lambda: {"interior": amber(albedo=grid())}, ["albedo", "constant"]),
     "sigma_t varies": (lambda: {"interior": amber(sigma_t=grid())}, ["sigma_t", "constant"]),
     "sigma_t < 0": (lambda: {"interior": amber(sigma_t=-1.0)}, ["sigma_t", "negative"]),
@@ -280,9 +291,15 @@ BALLS = {
     "sigma_t NaN": (lambda: {"interior": amber(sigma_t=float("nan"))}, ["sigma_t", "finite"]),
     "albedo > 1": (lambda: {"interior": amber(albedo=2.0)}, ["albedo", "[0, 1]"]),
     "hg NaN": (lambda: {"interior": amber(phase={"type": "hg", "g": float("nan")})}, ["g", "(-1, 1)"]),
-    "tabulated": (lambda: {"interior": amber(phase={"type": "tabphase", "values": "1,2,3"})}, ["Tabulated", "isotropic and hg"]),
+    "tabulated": (
+        lambda: {"interior": amber(phase={"type": "tabphase", "values": "1,2,3"})},
+        ["Tabulated", "isotropic and hg"],
+    ),
     "Rayleigh": (lambda: {"interior": amber(phase={"type": "rayleigh"})}, ["Rayleigh", "isotropic and hg"]),
-    "blend of phases": (lambda: {"interior": amber(phase=blend("blendphase", "hg", "isotropic"))}, ["Blend", "isotropic and hg"]),
+    "blend of phases": (
+        lambda: {"interior": amber(phase=blend("blendphase", "hg", "isotropic"))},
+        ["Blend", "isotropic and hg"],
+    ),
 }
 
 
@@ -421,7 +438,9 @@ COMMANDS = {
 }
 
 
-@pytest.mark.skipif(all(platform.problem_of(v) for v in platform.PREFERRED), reason="no variant can render on this machine")
+@pytest.mark.skipif(
+    all(platform.problem_of(v) for v in platform.PREFERRED), reason="no variant can render on this machine"
+)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_command_keeps_the_earlier_picture(rgb, tmp_path, name):
     """One sentence, exit code 1, and the pictures of an earlier render stay as they were."""

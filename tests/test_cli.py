@@ -1,5 +1,6 @@
 """The command, run as a user runs it."""
 
+import json
 import os
 import re
 import signal
@@ -177,3 +178,20 @@ def test_interrupting_keeps_the_earlier_picture(tmp_path):
     assert time.monotonic() - start < 15
     assert (tmp_path / "out.exr").read_bytes() == b"earlier"
     assert [p.name for p in tmp_path.iterdir()] == ["out.exr"]
+
+
+@needs_variant
+def test_scaling_measures_and_writes_results(tmp_path):
+    """Two tiny sizes through the command: the table and the rows of results.json."""
+    sizes = ("--triangles", 80, "--triangles", 320, "--resolution", 16, "--samples", 2)
+    done = refscatter("scaling", *sizes, "-o", tmp_path)
+    assert done.returncode == 0, done.stderr
+    data = json.loads((tmp_path / "results.json").read_text())
+    assert data["schema"] == "refscatter-results-1" and data["machine"]["cores"] >= 1
+    assert [(row["method"], row["triangles"]) for row in data["rows"]] == [
+        (method, n) for n in (80, 320) for method in ("refscatter", "volpath")
+    ]
+    ours = data["rows"][0]
+    assert ours["wall_seconds"] > 0 and ours["relmse"] is None and ours["settings"]["surfaces"] is False
+    assert ours["contributing_per_ray"] > 0 and ours["candidates_per_ray"] > 0
+    assert "320" in done.stdout

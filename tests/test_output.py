@@ -75,7 +75,7 @@ def test_a_failing_write_leaves_the_earlier_picture(rgb, tmp_path):
             raise RuntimeError("disk full")
 
     with pytest.raises(output.OutputError, match="disk full"):
-        output._write(Broken(), path)
+        output.write_file(path, Broken().write)
     assert path.read_bytes() == before
     assert sorted(os.listdir(tmp_path)) == ["picture.exr", "picture.png"]
 

@@ -32,10 +32,12 @@ def machine():
     return {"processor": name, "cores": os.cpu_count(), "system": host.platform()}
 
 
-def write(directory, rows, version):
+def write(directory, rows):
     """Writes ``results.json`` (beside it first, then renamed); returns its path."""
+    import mitsuba_refscatter
+
     path = Path(directory) / "results.json"
-    data = {"schema": SCHEMA, "version": version, "machine": machine(), "rows": rows}
+    data = {"schema": SCHEMA, "version": mitsuba_refscatter.__version__, "machine": machine(), "rows": rows}
     output.write_file(
         path, lambda unfinished: unfinished.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
     )
