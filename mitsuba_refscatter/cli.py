@@ -249,9 +249,9 @@ def scaling(
     directory: Optional[Path] = typer.Option(
         None, "-o", "--output", help="Directory for results.json. [default: print only]"
     ),
-    triangles: List[int] = typer.Option(
+    triangles: list[int] = typer.Option(
         list(measure.SIZES), "--triangles", min=1, help="Triangles of the body; repeatable."
-    ),  # noqa: UP006
+    ),
     scene: str = typer.Option("bumpy_sphere", "--scene", help="One of the scenes made by code."),
     resolution: int = typer.Option(256, "--resolution", min=1, help="Pixels on a side."),
     samples: int = typer.Option(64, "--samples", min=1, help="Samples per pixel of volpath."),

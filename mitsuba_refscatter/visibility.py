@@ -65,7 +65,9 @@ class Shadows:
         uniform = silhouette.uniform(corners, edges, self.position)
         rest = np.flatnonzero(~uniform)
         if len(rest) > 0 and len(edges) > 0:
-            tri = triangle.gather(self.scene.records, dr.gather(mi.UInt32, triangles, mi.UInt32(rest.astype(np.uint32))))
+            tri = triangle.gather(
+                self.scene.records, dr.gather(mi.UInt32, triangles, mi.UInt32(rest.astype(np.uint32)))
+            )
             relative = [p - self.L for p in (tri.P0, tri.P0 + tri.P_u, tri.P0 + tri.P_v)]
             skin = tolerances.SHADOW_OFFSET * self.scene.extent
             uniform[rest] = ~silhouette.covered(relative, tri.Ng, edges - self.position, skin).numpy()

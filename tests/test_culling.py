@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 import oracle
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, given, note, settings
 from hypothesis import strategies as st
 from meshes import BoxTree, Mesh, bumpy_sphere, dot, make_patches, norm, take
 from pairs import Culling, bevelled_box, chords, cut_box, lost_and_looked_at, one_body, torus, wavy
@@ -23,37 +23,31 @@ LOST = 1e-5
 
 # ---- No pair is lost ------------------------------------------------------------------------
 
-CASES = st.fixed_dictionaries({
-    "seed": st.integers(0, 2**32 - 1),
-    "boxy": st.booleans(),
-    "level": st.integers(1, 3),
-    "amplitude": st.floats(0, 0.4),
-    "stretch": st.floats(1, 3),
-    "smooth": st.booleans(),
-    "eta": st.one_of(st.floats(1.05, 2.4), st.floats(1.05, 2.4), st.floats(0.5, 0.97)),
-    "distance": st.floats(-1.5, 1.2),
-    "tolerance": st.sampled_from([0.0, 0.01, 0.5]),
-})  # fmt: skip
+
+def random_case(seed):
+    """A body, its index of refraction, a light outside and a tolerance; the numbers to report."""
+    rng = np.random.default_rng(seed)
+    level, eta = int(rng.integers(1, 4)), rng.uniform(1.05, 2.4) if rng.random() < 0.75 else rng.uniform(0.5, 0.97)
+    boxy, smooth, tolerance = rng.random() < 0.4, rng.random() < 0.6, rng.choice([0.0, 0.01, 0.5])
+    amplitude, stretch, distance = rng.uniform(0, 0.4), rng.uniform(1, 3), 1 + 10 ** rng.uniform(-1.5, 1.2)
+    mesh = cut_box(rng, level) if boxy else wavy(rng, level, amplitude, stretch, smooth)
+    middle, side = mesh.vertices.mean(0), rng.normal(size=3)
+    light = build.rounded(middle + distance * norm(mesh.vertices - middle).max() * side / norm(side))
+    note(f"{boxy=} {level=} {amplitude=} {stretch=} {smooth=} {eta=} {distance=} {tolerance=}")
+    return mesh, eta, light, float(tolerance), chords(mesh, rng, 80)
 
 
 def no_pair_is_lost(examples, folder):
     """The same examples at every run; prints how loose the culling is."""
     looked_at = []
 
+    # One seed, not a draw for each number: Hypothesis would vary one of them at a time, and need many more examples.
     @settings(max_examples=examples, derandomize=True, deadline=None, database=None, phases=[Phase.generate],
               suppress_health_check=list(HealthCheck))  # fmt: skip
-    @given(CASES)
-    def check(case):
-        rng = np.random.default_rng(case["seed"])
-        if case["boxy"]:
-            mesh = cut_box(rng, case["level"])
-        else:
-            mesh = wavy(rng, case["level"], case["amplitude"], case["stretch"], case["smooth"])
-        middle, side = mesh.vertices.mean(0), rng.normal(size=3)
-        radius = norm(mesh.vertices - middle).max() * (1 + 10 ** case["distance"])
-        light = build.rounded(middle + radius * side / norm(side))
-        culling = one_body(mesh, case["eta"], light, folder, case["tolerance"])
-        lost, ratio = lost_and_looked_at(mesh, case["eta"], light, culling, *chords(mesh, rng, 60))
+    @given(st.integers(0, 2**32 - 1))
+    def check(seed):
+        mesh, eta, light, tolerance, segments = random_case(seed)
+        lost, ratio = lost_and_looked_at(mesh, eta, light, one_body(mesh, eta, light, folder, tolerance), *segments)
         looked_at.append(ratio)
         assert lost < LOST
 
@@ -62,7 +56,7 @@ def no_pair_is_lost(examples, folder):
 
 
 def test_no_pair_is_lost(rgb, tmp_path):
-    no_pair_is_lost(40, tmp_path)
+    no_pair_is_lost(30, tmp_path)
 
 
 @pytest.mark.slow

@@ -275,7 +275,7 @@ def test_screens_shadow_outside_and_inside():
 @pytest.mark.parametrize("level, eta", [(1, 1.5), (3, 1.5), (2, 0.75)])
 def test_subdivision_converges_and_segments_add(level, eta):
     mesh = bumpy_sphere(level, 0.1)
-    o, d, t_max = chords(mesh, 20, 7)
+    o, d, t_max = (x[:20] for x in chords(mesh, 100, 7))     # two at the critical angle
     value = [oracle.segment_radiance(mesh, eta, *GREY, o, d, t_max, m) for m in (1, 4, 12)]
     assert relative(value[0], value[2]) < 1e-3
     assert relative(value[1], value[2]) < 5e-5 and np.abs(value[1] / value[2] - 1).max() < 1e-3

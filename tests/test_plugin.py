@@ -26,16 +26,21 @@ def grey(value):
     return {"type": "rgb", "value": [value] * 3}
 
 
-def scene(body, integrator, width=32, height=24, **film):
-    """A grey body over a grey floor, seen by a film with a gaussian filter, a crop window and 4 samples."""
+MEDIUM = {"type": "homogeneous", "sigma_t": grey(0.7), "albedo": grey(0.8)}
+
+
+def scene(body, integrator, medium=MEDIUM, extra=None, **film):
+    """A grey body over a grey floor, seen by a film with a gaussian filter, a crop window and 4 samples.
+
+    ``film``: properties that replace these; ``extra``: more objects of the scene."""
     transform = mi.ScalarTransform4f()
     pixels = "luminance_alpha" if mi.is_monochromatic else "rgba"
     crop = {"crop_offset_x": 5, "crop_offset_y": 3, "crop_width": 20, "crop_height": 14}
     return mi.load_dict({
-        "type": "scene", "integrator": integrator,
+        "type": "scene", "integrator": integrator, **(extra or {}),
         "sensor": {
             "type": "perspective", "fov": 30, "to_world": transform.look_at([0.3, 0.8, 5], [0, 0, 0], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": width, "height": height, **crop, "rfilter": {"type": "gaussian"},
+            "film": {"type": "hdrfilm", "width": 32, "height": 24, **crop, "rfilter": {"type": "gaussian"},
                      "component_format": "float32", "pixel_format": pixels, **film},
             "sampler": {"type": "independent", "sample_count": 4},
         },
@@ -44,7 +49,7 @@ def scene(body, integrator, width=32, height=24, **film):
                   "to_world": transform.translate([0, -1.1, 0]).rotate([1, 0, 0], -90).scale(2)},
         "body": {
             "type": "ply", "filename": body, "bsdf": {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0},
-            "interior": {"type": "homogeneous", "sigma_t": grey(0.7), "albedo": grey(0.8)},
+            "interior": medium,
         },
     })  # fmt: skip
 
@@ -88,6 +93,18 @@ def test_alpha_is_zero_or_one_for_one_sample_in_a_box(rgb, body):
     assert set(np.unique(alpha)) == {0.0, 1.0}
 
 
+@pytest.mark.parametrize("hidden", (False, True))
+def test_alpha_under_a_sky_is_that_of_path(rgb, hidden, body):
+    """With ``surfaces`` a visible sky counts as seen, as in Mitsuba's own integrators; a hidden one does not."""
+    dark = {"type": "homogeneous", "sigma_t": grey(0.7), "albedo": grey(0.0)}
+    alphas = []
+    for integrator in (refscatter(True, hide_emitters=hidden), {"type": "path", "hide_emitters": hidden}):
+        loaded = scene(body, integrator, medium=dark, extra={"sky": {"type": "constant"}})
+        alphas.append(image(loaded)[..., 3])
+    np.testing.assert_allclose(alphas[0], alphas[1], atol=1e-6)
+    assert (alphas[0].min() < 0.1) == hidden
+
+
 def test_single_scattering_does_not_depend_on_what_the_nested_integrator_draws(rgb, body):
     """The single-scattering part of an image is a function of the camera samples alone."""
     names = "single_scatter, surfaces"
@@ -117,7 +134,6 @@ def test_extra_channels_are_the_same_inside_aov(rgb, body):
     inside = scene(body, {"type": "aov", "aovs": "distance:depth", "image": ours})
     alone, result = image(scene(body, ours)), image(inside)
     names = [field.name for field in inside.sensors()[0].film().bitmap().struct_()]
-    print(names)
     np.testing.assert_allclose(result[..., names.index("image.candidates")], alone[..., 7], rtol=1e-5)
 
 

@@ -138,7 +138,7 @@ def test_light_points_present_a_uniform_disc():
 @pytest.mark.parametrize("name", BODIES)
 def test_single_scattering(name, tmp_path):
     case = Case(name, tmp_path)
-    check(compare(case.ours(8, 4), case.theirs(96, 256), BLOCK), mean_error=0.02, block_error=0.12)
+    check(compare(case.ours(6, 4), case.theirs(64, 256), BLOCK), mean_error=0.02, block_error=0.12)
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ import mitsuba as mi
 from .. import optics, tolerances
 from ..culling import beam as light_beam
 from ..geometry import triangle
+from ..geometry.interval import positive_part
 
 
 @dataclass
@@ -188,11 +189,9 @@ def _chord(piece, tri, lighting, segment):
 
 def _clip(limits, tau0, tau1):
     """The ``_Interval`` of tau0 < tau < tau1 in which all limits are positive, given their values at both ends."""
-    start, end, unsure, width = mi.Float(0), mi.Float(1), mi.Bool(False), tau1 - tau0
+    start, end = positive_part(limits)
+    unsure, width = mi.Bool(False), tau1 - tau0
     for at_0, at_1 in limits:
-        zero = at_0 / dr.select(at_0 == at_1, 1, at_0 - at_1)
-        start = dr.select(at_0 < 0, dr.select(at_1 < 0, 2, dr.maximum(start, zero)), start)
-        end = dr.select((at_1 < 0) & (at_0 >= 0), dr.minimum(end, zero), end)
         nearest = dr.minimum(dr.maximum(at_0, at_1), -dr.minimum(at_0, at_1))
         unsure |= nearest > -tolerances.MARGIN * dr.abs(at_0 - at_1)
     (t_0, t_1), _, (s_0, s_1) = limits[:3]

@@ -11,6 +11,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .interval import positive_part
+
 WIDEST = 0.5
 """Smallest cosine to the view's axis for which the light's view is used: a field of 120 degrees."""
 
@@ -113,13 +115,9 @@ def covered(corners, normal, edges, skin):
     def test(j, found):
         a, b = (dr.gather(mi.Vector3f, flat, 2 * j + k) for k in range(2))
         slack = 1e-5 * dr.maximum(dr.norm(a), dr.norm(b))  # float32: better a little wider
-        low, high = mi.Float(0), mi.Float(1)
-        bounds = [(dr.dot(n, a) + slack, dr.dot(n, b) + slack) for n in sides]
-        bounds.append((dr.dot(normal, a - corners[0]) - skin, dr.dot(normal, b - corners[0]) - skin))
-        for at_a, at_b in bounds:
-            zero = at_a / dr.select(at_a == at_b, 1, at_a - at_b)
-            low = dr.select(at_a < 0, dr.select(at_b < 0, 2, dr.maximum(low, zero)), low)
-            high = dr.select((at_b < 0) & (at_a >= 0), dr.minimum(high, zero), high)
+        ends = [(dr.dot(n, a) + slack, dr.dot(n, b) + slack) for n in sides]
+        ends.append((dr.dot(normal, a - corners[0]) - skin, dr.dot(normal, b - corners[0]) - skin))
+        low, high = positive_part(ends)
         return j + 1, found | (low <= high)
 
     n = dr.width(normal)

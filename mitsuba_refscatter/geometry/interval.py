@@ -1,0 +1,15 @@
+"""Where linear functions on [0, 1] are positive."""
+
+import drjit as dr
+import mitsuba as mi
+
+
+def positive_part(ends):
+    """``(start, end)`` of the part of [0, 1] on which all functions are positive, each given by its values at 0 and
+    at 1; start > end where there is none."""
+    start, end = mi.Float(0), mi.Float(1)
+    for at_0, at_1 in ends:
+        zero = at_0 / dr.select(at_0 == at_1, 1, at_0 - at_1)
+        start = dr.select(at_0 < 0, dr.select(at_1 < 0, 2, dr.maximum(start, zero)), start)
+        end = dr.select((at_1 < 0) & (at_0 >= 0), dr.minimum(end, zero), end)
+    return start, end
