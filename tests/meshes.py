@@ -2,14 +2,15 @@
 
 World space, one length unit.  Directions are unit vectors.  Imports nothing but NumPy.
 """
+
 from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
 
-END_TOLERANCE = 1e-9   # of the scene's extent: a hit closer to either end of a ray is that end
-LEAF = 4               # triangles in a leaf of the box tree, at least (at most twice as many)
-RAY_BATCH = 1 << 16    # rays traced together (memory)
+END_TOLERANCE = 1e-9  # of the scene's extent: a hit closer to either end of a ray is that end
+LEAF = 4  # triangles in a leaf of the box tree, at least (at most twice as many)
+RAY_BATCH = 1 << 16  # rays traced together (memory)
 
 
 def dot(a, b):
@@ -28,6 +29,7 @@ class Mesh:
 
     vertices (V,3); faces (F,3) int; normals (V,3) outward, any length, or None: facet normals.
     """
+
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray | None = None
@@ -59,8 +61,9 @@ def make_patches(mesh, eta):
     """All triangles of a mesh as a Patch of (F,3) arrays; area2 is (F,1)."""
     p, n = mesh.corners, mesh.corner_normals(eta)
     e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
-    return Patch(p[:, 0], e1, e2, n[:, 0], n[:, 1] - n[:, 0], n[:, 2] - n[:, 0],
-                 mesh.facet_normals, norm(np.cross(e1, e2)))
+    return Patch(
+        p[:, 0], e1, e2, n[:, 0], n[:, 1] - n[:, 0], n[:, 2] - n[:, 0], mesh.facet_normals, norm(np.cross(e1, e2))
+    )
 
 
 def take(patches, index):
@@ -83,13 +86,13 @@ class BoxTree:
         lo, hi = p.min(1), p.max(1)
         n, order, self.levels = len(p), np.arange(len(p)), []
         depth = max(0, int(np.log2(n / LEAF)))
-        for level in range(depth + 1):     # node i of a level holds order[starts[i]:starts[i + 1]]
-            starts = n * np.arange(2 ** level + 1) // 2 ** level
+        for level in range(depth + 1):  # node i of a level holds order[starts[i]:starts[i + 1]]
+            starts = n * np.arange(2**level + 1) // 2**level
             box_lo = np.minimum.reduceat(lo[order], starts[:-1])
             box_hi = np.maximum.reduceat(hi[order], starts[:-1])
             self.levels.append((box_lo - self.tolerance, box_hi + self.tolerance))
-            if level < depth:              # sort every node along its longest axis
-                node = np.repeat(np.arange(2 ** level), np.diff(starts))
+            if level < depth:  # sort every node along its longest axis
+                node = np.repeat(np.arange(2**level), np.diff(starts))
                 axis = np.argmax(box_hi - box_lo, axis=1)[node]
                 order = order[np.lexsort(((lo + hi)[order, axis], node))]
         self.starts, self.order = starts, order
@@ -119,7 +122,7 @@ class BoxTree:
         for first in range(0, len(o), RAY_BATCH):
             part = slice(first, first + RAY_BATCH)
             rays, leaf = self._leaves(o[part], d[part], length[part])
-            for k in range(2 * LEAF):      # Moeller-Trumbore, the k-th triangle of every leaf
+            for k in range(2 * LEAF):  # Moeller-Trumbore, the k-th triangle of every leaf
                 inside = self.starts[leaf] + k < self.starts[leaf + 1]
                 ray = rays[inside] + first
                 tri = self.order[self.starts[leaf[inside]] + k]
@@ -127,7 +130,7 @@ class BoxTree:
                 h, q = np.cross(along, e2), np.cross(start, e1)
                 with np.errstate(divide="ignore", invalid="ignore"):
                     tuv = np.hstack([dot(e2, q), dot(start, h), dot(along, q)]) / dot(e1, h)
-                t, u, v = np.where(np.isfinite(tuv), tuv, -1).T     # -1: parallel to the plane
+                t, u, v = np.where(np.isfinite(tuv), tuv, -1).T  # -1: parallel to the plane
                 good = (u >= 0) & (v >= 0) & (u + v <= 1) & (tri != skip[ray])
                 good &= (t > self.tolerance) & (t < length[ray] - self.tolerance)
                 found.append((ray[good], tri[good], tuv[good]))
@@ -213,7 +216,7 @@ def may_vanish(uv, g, g_u, g_v):
 def fresnel_reflectance(c, c_t, eta):
     """Unpolarised reflectance for the cosines of incidence and transmission, eta = n_t / n_i."""
     r_s, r_p = (c - eta * c_t) / (c + eta * c_t), (eta * c - c_t) / (eta * c + c_t)
-    return (r_s ** 2 + r_p ** 2) / 2
+    return (r_s**2 + r_p**2) / 2
 
 
 def interface(d, n, eta):
@@ -222,21 +225,22 @@ def interface(d, n, eta):
     d.n < 0 enters.  scale is 1/eta^2 on entering, eta^2 on leaving.  Total reflection: F = 1."""
     c = -dot(d, n)
     ratio, n, c = np.where(c > 0, eta, 1 / eta), np.where(c > 0, n, -n), np.abs(c)
-    radicand = 1 - (1 - c * c) / ratio ** 2
+    radicand = 1 - (1 - c * c) / ratio**2
     c_t = np.sqrt(np.maximum(radicand, 0))
     fresnel = np.where(radicand > 0, fresnel_reflectance(c, c_t, ratio), 1)
-    return fresnel, d + 2 * c * n, d / ratio + n * (c / ratio - c_t), ratio ** -2
+    return fresnel, d + 2 * c * n, d / ratio + n * (c / ratio - c_t), ratio**-2
 
 
 def icosphere(level, radius=1.0):
     """Sphere about the origin with its own normals and 20 * 4^level triangles (vertices on it)."""
-    golden = (1 + 5 ** 0.5) / 2
+    golden = (1 + 5**0.5) / 2
     points = [np.roll((0, a, b * golden), k) for k in range(3) for a in (-1, 1) for b in (-1, 1)]
     points = np.array(points, float) / np.hypot(1, golden)
     edge = 2 / np.hypot(1, golden)
     near = np.abs(np.linalg.norm(points[:, None] - points, axis=2) - edge) < 1e-9
-    faces = np.array([(i, j, k) for i in range(12) for j in range(i) for k in range(j)
-                      if near[i, j] and near[j, k] and near[i, k]])
+    faces = np.array(
+        [(i, j, k) for i in range(12) for j in range(i) for k in range(j) if near[i, j] and near[j, k] and near[i, k]]
+    )
     inward = np.linalg.det(points[faces]) < 0
     faces[inward] = faces[inward][:, ::-1]
     for _ in range(level):
@@ -246,8 +250,7 @@ def icosphere(level, radius=1.0):
         a, b, c = faces.T
         ab, bc, ca = index.reshape(-1, 3).T + len(points)
         points = np.concatenate([points, middle / norm(middle)])
-        faces = np.concatenate([np.stack(x, 1) for x in
-                                ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+        faces = np.concatenate([np.stack(x, 1) for x in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
     return Mesh(radius * points, faces, points.copy())
 
 
@@ -266,7 +269,6 @@ def bumpy_sphere(level, amplitude=0.05, frequency=5.0):
 def box(lower, upper):
     """Axis-aligned box from corner lower (3,) to corner upper (3,), 12 triangles, facet normals."""
     corner = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    quads = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4),
-                      (1, 5, 7, 3)])
+    quads = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     return Mesh(np.asarray(lower) + corner * np.subtract(upper, lower), faces)

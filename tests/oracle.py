@@ -5,18 +5,34 @@ unit; sigma_s, sigma_t in 1/length, intensity in W/sr, radiance in W/(m^2 sr).  
 scalar counts as C = 1.  Directions are unit vectors.  eta = n_in / n_out; at 1 facet normals hold.
 All surfaces on P-L and P-V shadow.  Not modelled: nested bodies, lights inside, light-side bounces.
 """
+
 from collections import namedtuple
 
 import numpy as np
-from meshes import (BoxTree, Mesh, bisect, dot, fresnel_reflectance, interface, make_patches,
-                    may_vanish, norm, panels, quarter, switches, take, triangle_grid, within)
+from meshes import (
+    BoxTree,
+    Mesh,
+    bisect,
+    dot,
+    fresnel_reflectance,
+    interface,
+    make_patches,
+    may_vanish,
+    norm,
+    panels,
+    quarter,
+    switches,
+    take,
+    triangle_grid,
+    within,
+)
 
-GRID_BATCH = 1 << 23   # numbers in one array of values on the micro grid (memory)
-ROUGH = 0.05           # relative change of grad g along a chord above which its triangle is split
-SPAN = 1 / 256         # the same for the part of a camera segment that one chord sees
-COARSE = 1 / 12        # side in (u,v) of the micro triangles above which none is clipped away
-MAX_SPLITS = 6         # such splits at most; then the mean slope of the chord's ends stands in
-NEGLIGIBLE = 1e-12     # a branch of the camera path that carries less weight is not followed
+GRID_BATCH = 1 << 23  # numbers in one array of values on the micro grid (memory)
+ROUGH = 0.05  # relative change of grad g along a chord above which its triangle is split
+SPAN = 1 / 256  # the same for the part of a camera segment that one chord sees
+COARSE = 1 / 12  # side in (u,v) of the micro triangles above which none is clipped away
+MAX_SPLITS = 6  # such splits at most; then the mean slope of the chord's ends stands in
+NEGLIGIBLE = 1e-12  # a branch of the camera path that carries less weight is not followed
 
 # A mesh filled with a homogeneous medium: sigma_s, sigma_t (C,); g of Henyey-Greenstein.
 Body = namedtuple("Body", "mesh eta sigma_s sigma_t g", defaults=(0.0,))
@@ -41,7 +57,7 @@ def light_ray(patch, uv, light, eta):
     d_l = norm(to_light)
     n, w_l = normal / length, to_light / d_l
     c_l = dot(w_l, n)
-    radicand = 1 - (1 - c_l ** 2) / eta ** 2
+    radicand = 1 - (1 - c_l**2) / eta**2
     c_v = np.sqrt(np.maximum(radicand, 0))
     omega = -w_l / eta + n * (c_l / eta - c_v)
     return LightRay(point, n, omega, w_l, length, d_l, c_l, radicand, c_v)
@@ -54,7 +70,7 @@ def light_slopes(patch, x, eta):
         dw_l = (x.w_l * dot(x.w_l, e) - e) / x.d_l
         dn = (m - x.n * dot(x.n, m)) / x.length
         dc_l = dot(dw_l, x.n) + dot(x.w_l, dn)
-        dc_v = np.where(x.c_v > 0, x.c_l * dc_l / (eta ** 2 * np.where(x.c_v > 0, x.c_v, 1)), 0)
+        dc_v = np.where(x.c_v > 0, x.c_l * dc_l / (eta**2 * np.where(x.c_v > 0, x.c_v, 1)), 0)
         slopes.append(-dw_l / eta + dn * (x.c_l / eta - x.c_v) + x.n * (dc_l / eta - dc_v))
     return slopes
 
@@ -63,8 +79,10 @@ def beam_gap(patch, uv, light, eta, o, d):
     """g = (P - o).(d x omega), (n,), and its gradient in (u,v), (n,2), at uv (n,2)."""
     x = light_ray(patch, uv, light, eta)
     across, away = np.cross(d, x.omega), x.point - o
-    gradient = [dot(e, across) + dot(away, np.cross(d, slope)) for e, slope in
-                zip((patch.e1, patch.e2), light_slopes(patch, x, eta))]
+    gradient = [
+        dot(e, across) + dot(away, np.cross(d, slope))
+        for e, slope in zip((patch.e1, patch.e2), light_slopes(patch, x, eta))
+    ]
     return dot(away, across)[:, 0], np.hstack(gradient)
 
 
@@ -88,11 +106,11 @@ def _cut(patch, uv, g, light, eta, o, d):
 
     Exact, not interpolated: neighbours that are cut to different depths must agree on it."""
     positive, i, ends = g > 0, np.arange(len(g)), []
-    odd = np.argmax(positive == (positive.sum(1) == 1)[:, None], axis=1)   # the lone sign
+    odd = np.argmax(positive == (positive.sum(1) == 1)[:, None], axis=1)  # the lone sign
     for k in ((odd + 1) % 3, (odd + 2) % 3):
         start, edge, value = uv[i, odd], uv[i, k] - uv[i, odd], g[i, odd]
         lo, hi, x = np.zeros(len(g)), np.ones(len(g)), value / (value - g[i, k])
-        for _ in range(5):                 # Newton, bisection where it leaves the bracket
+        for _ in range(5):  # Newton, bisection where it leaves the bracket
             gap, gradient = beam_gap(patch, start + x[:, None] * edge, light, eta, o, d)
             before = (gap > 0) == (value > 0)
             lo, hi = np.where(before, x, lo), np.where(before, hi, x)
@@ -136,10 +154,11 @@ def _curve(patches, ray, tri, uv, g, light, eta, o, d, t_max):
         lo, hi, span = _clip(patch, a, b, light, eta, origin, along, t_max[ray])
         keep = ((hi > 0) | (norm(uv[:, 1] - uv[:, 0]) > COARSE))[:, 0]
         ray, tri, uv, a, b, slope_a, slope_b, lo, hi, span = (
-            x[keep] for x in (ray, tri, uv, a, b, slope_a, slope_b, lo, hi, span))
+            x[keep] for x in (ray, tri, uv, a, b, slope_a, slope_b, lo, hi, span)
+        )
         patch, origin, along = take(patches, tri), o[ray], d[ray]
         size, point = norm(uv[:, 1] - uv[:, 0]), a + (lo + hi) / 2 * (b - a)
-        for _ in range(2):                 # Newton along grad g, not far
+        for _ in range(2):  # Newton along grad g, not far
             value, gradient = beam_gap(patch, point, light, eta, origin, along)
             step = value[:, None] * gradient / np.maximum(dot(gradient, gradient), 1e-300)
             point = point - step * np.minimum(1, size / np.maximum(norm(step), 1e-300))
@@ -166,19 +185,21 @@ def _quarter(patches, ray, tri, uv, light, eta, o, d):
     g, gradient = zip(*[beam_gap(patch, uv[:, k], light, eta, o[ray], d[ray]) for k in range(3)])
     corners = [light_ray(patch, uv[:, k], light, eta) for k in range(3)]
     reach = np.max([np.abs(dot(x.point - o[ray], np.cross(d[ray], x.n))) for x in corners], 0)[:, 0]
-    keep = _candidates(uv.swapaxes(0, 1), [x.radicand[:, 0] for x in corners], g,
-                       *np.moveaxis(gradient, 2, 0), 1.5 * reach)
+    keep = _candidates(
+        uv.swapaxes(0, 1), [x.radicand[:, 0] for x in corners], g, *np.moveaxis(gradient, 2, 0), 1.5 * reach
+    )
     return ray[keep], tri[keep], uv[keep], np.stack(g, 1)[keep]
 
 
-def segment_radiance(mesh, eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max,
-                     subdivisions=8, occluders=()):
+def segment_radiance(
+    mesh, eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max, subdivisions=8, occluders=()
+):
     """Single scattering along camera segments inside a body, (n,C), by the curve form.
 
     o, d (n,3), t_max (n,): segments o + t d, 0 < t < t_max, in the body that `mesh` bounds.
     sigma_s, sigma_t, light_intensity: scalars or (C,); g: Henyey-Greenstein asymmetry.
     Lit triangles are cut in subdivisions^2 to begin with.  occluders: more meshes that shadow."""
-    centre = mesh.corners.reshape(-1, 3).mean(0)          # keeps Pluecker products accurate
+    centre = mesh.corners.reshape(-1, 3).mean(0)  # keeps Pluecker products accurate
     move = [Mesh(m.vertices - centre, m.faces, m.normals) for m in (mesh, *occluders)]
     light, o, d, t_max = light_position - centre, o - centre, np.asarray(d), np.asarray(t_max)
     tree, patches, found = BoxTree(move), make_patches(move[0], eta), []
@@ -189,17 +210,34 @@ def segment_radiance(mesh, eta, sigma_s, sigma_t, g, light_position, light_inten
     some, reach = take(patches, lit[:, None]), 2 * norm(move[0].vertices).max()
     x = light_ray(some, grid, light, eta)
     lines = [np.concatenate([np.cross(x.omega, x.point), -x.omega], -1)]
-    lines += [np.concatenate([np.cross(slope, x.point) + np.cross(x.omega, e), -slope], -1)
-              for e, slope in zip((some.e1, some.e2), light_slopes(some, x, eta))]
+    lines += [
+        np.concatenate([np.cross(slope, x.point) + np.cross(x.omega, e), -slope], -1)
+        for e, slope in zip((some.e1, some.e2), light_slopes(some, x, eta))
+    ]
     batch = max(1, GRID_BATCH // max(1, lines[0].size))
-    for first in range(0, len(o), batch):                 # g, g_u, g_v as 6-D Pluecker products
-        camera = np.hstack([d, np.cross(o, d)])[first:first + batch].T
+    for first in range(0, len(o), batch):  # g, g_u, g_v as 6-D Pluecker products
+        camera = np.hstack([d, np.cross(o, d)])[first : first + batch].T
         values = [np.moveaxis(line @ camera, 2, 0) for line in lines]
-        ray, tri, cell = np.nonzero(_candidates(
-            grid[micro.T], [x.radicand[:, corner, 0] for corner in micro.T],
-            *([v[..., corner] for corner in micro.T] for v in values), reach))
-        found += _curve(patches, ray + first, lit[tri], grid[micro[cell]],
-                        values[0][ray[:, None], tri[:, None], micro[cell]], light, eta, o, d, t_max)
+        ray, tri, cell = np.nonzero(
+            _candidates(
+                grid[micro.T],
+                [x.radicand[:, corner, 0] for corner in micro.T],
+                *([v[..., corner] for corner in micro.T] for v in values),
+                reach,
+            )
+        )
+        found += _curve(
+            patches,
+            ray + first,
+            lit[tri],
+            grid[micro[cell]],
+            values[0][ray[:, None], tri[:, None], micro[cell]],
+            light,
+            eta,
+            o,
+            d,
+            t_max,
+        )
     for ray, tri, uv, a, b, weight in found:
         patch, segment = take(patches, tri), (o[ray], d[ray], t_max[ray, None])
         weight = weight * _lit_share(patch, tri, a, b, eta, light, segment, tree)
@@ -209,6 +247,7 @@ def segment_radiance(mesh, eta, sigma_s, sigma_t, g, light_position, light_inten
 
 def _lit_share(patch, tri, a, b, eta, light, segment, tree):
     """Share of the chords a..b (n,2) that nothing shadows, (n,1); one change is bisected."""
+
     def visible(uv, k):
         x, (o, d, t_max) = light_ray(take(patch, k), uv, light, eta), (y[k] for y in segment)
         t, _, scale = meeting(x, o, d)
@@ -219,8 +258,7 @@ def _lit_share(patch, tri, a, b, eta, light, segment, tree):
 
     first, last = (visible(x, np.arange(len(a))) for x in (a, b))
     share, k = (first & last) * 1.0, np.flatnonzero(first != last)
-    x = bisect(lambda x: visible(a[k] + x[:, None] * (b - a)[k], k) == first[k],
-               np.zeros(len(k)), np.ones(len(k)), 12)
+    x = bisect(lambda x: visible(a[k] + x[:, None] * (b - a)[k], k) == first[k], np.zeros(len(k)), np.ones(len(k)), 12)
     share[k] = np.where(first[k], x, 1 - x)
     return share[:, None]
 
@@ -230,9 +268,9 @@ def _integrand(patch, uv, eta, colours, g, light, segment):
     x, (o, d, t_max) = light_ray(patch, uv, light, eta), segment
     t, s, scale = meeting(x, o, d)
     t, s = np.clip(t / scale, 0, t_max), np.maximum(s / scale, 0)
-    c_l, c_v = np.maximum(x.c_l, 0), x.c_v                # below: T = (1 - F) c_L / c_V
-    transmitted = 2 * eta * c_l ** 2 * (1 / (c_l + eta * c_v) ** 2 + 1 / (eta * c_l + c_v) ** 2)
-    flux = transmitted * patch.area2 * np.abs(dot(x.omega, patch.ng)) / x.d_l ** 2
+    c_l, c_v = np.maximum(x.c_l, 0), x.c_v  # below: T = (1 - F) c_L / c_V
+    transmitted = 2 * eta * c_l**2 * (1 / (c_l + eta * c_v) ** 2 + 1 / (eta * c_l + c_v) ** 2)
+    flux = transmitted * patch.area2 * np.abs(dot(x.omega, patch.ng)) / x.d_l**2
     sigma_s, sigma_t, intensity = colours
     value = flux * phase(g, -dot(x.omega, d)) * sigma_s * intensity * np.exp(-sigma_t * (t + s))
     if not np.isfinite(value).all():
@@ -256,28 +294,40 @@ def camera_segments(bodies, o, d, internal_bounces, opaque=()):
     eta = np.array([b.eta for b in bodies])
     sigma_t = np.stack(np.broadcast_arrays(*[np.atleast_1d(b.sigma_t) for b in bodies]))
     n, segments = len(o), []
-    state = [np.arange(n), np.asarray(o), np.asarray(d), np.full(n, -1), np.full(n, -1),
-             np.zeros(n, int), np.zeros(n, int), np.ones((n, sigma_t.shape[1]))]
+    state = [
+        np.arange(n),
+        np.asarray(o),
+        np.asarray(d),
+        np.full(n, -1),
+        np.full(n, -1),
+        np.zeros(n, int),
+        np.zeros(n, int),
+        np.ones((n, sigma_t.shape[1])),
+    ]
     while len(state[0]):
         index, tri, t, u, v = tree.closest(state[1], state[2], state[4])
         ray, o, d, body, _, inner, outer, weight = (x[index] for x in state)
         inside = body >= 0
         segments.append([x[inside] for x in (ray, body, o, d, t[:, 0], weight)])
         weight = np.where(inside[:, None], weight * np.exp(-sigma_t[body] * t), weight)
-        hit = np.searchsorted(tree.first, tri, side="right") - 1      # index of the mesh
+        hit = np.searchsorted(tree.first, tri, side="right") - 1  # index of the mesh
         on = np.where(inside, hit == body, (hit < len(bodies)) & (outer <= internal_bounces))
         ray, end, d, inside, inner, outer, weight, hit, tri, u, v = (
-            x[on] for x in (ray, o + t * d, d, inside, inner, outer, weight, hit, tri, u, v))
+            x[on] for x in (ray, o + t * d, d, inside, inner, outer, weight, hit, tri, u, v)
+        )
         n0, n1, n2 = normals[tri].transpose(1, 0, 2)
         normal = n0 + u * (n1 - n0) + v * (n2 - n0)
         fresnel, reflected, refracted, scale = interface(d, normal / norm(normal), eta[hit, None])
         branches = []
-        for direction, factor, bounces in ((reflected, fresnel, inner + inside),
-                                           (refracted, (1 - fresnel) * scale, inner)):
+        for direction, factor, bounces in (
+            (reflected, fresnel, inner + inside),
+            (refracted, (1 - fresnel) * scale, inner),
+        ):
             side = np.where(dot(direction, ng[tri])[:, 0] < 0, hit, -1)
             keep = (bounces <= internal_bounces) & ((weight * factor).max(1) > NEGLIGIBLE)
-            branches.append([x[keep] for x in (ray, end, direction, side, tri, bounces,
-                                               outer + ~inside, weight * factor)])
+            branches.append(
+                [x[keep] for x in (ray, end, direction, side, tri, bounces, outer + ~inside, weight * factor)]
+            )
         state = [np.concatenate(x) for x in zip(*branches)]
     return Segments(*(np.concatenate(x) for x in zip(*segments)))
 
@@ -293,8 +343,19 @@ def camera_radiance(bodies, lights, o, d, internal_bounces, subdivisions=8, opaq
         others = [b.mesh for b in bodies if b is not body] + list(opaque)
         for position, intensity in lights:
             value = mine.weight * segment_radiance(
-                body.mesh, body.eta, body.sigma_s, body.sigma_t, body.g, position, intensity,
-                mine.o, mine.d, mine.t_max, subdivisions, others)
+                body.mesh,
+                body.eta,
+                body.sigma_s,
+                body.sigma_t,
+                body.g,
+                position,
+                intensity,
+                mine.o,
+                mine.d,
+                mine.t_max,
+                subdivisions,
+                others,
+            )
             total = total + np.stack([np.bincount(mine.ray, v, len(o)) for v in value.T], 1)
     return total
 
@@ -302,8 +363,7 @@ def camera_radiance(bodies, lights, o, d, internal_bounces, subdivisions=8, opaq
 # ---- Closed forms (DESIGN section 5); all return (n,C) --------------------------------------
 
 
-def straight_line_radiance(mesh, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max,
-                           steps=512):
+def straight_line_radiance(mesh, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max, steps=512):
     """eta = 1: quadrature over t, lit where V -> light crosses the mesh exactly once."""
     tree, total = BoxTree([mesh]), []
 
@@ -319,20 +379,19 @@ def straight_line_radiance(mesh, sigma_s, sigma_t, g, light_position, light_inte
         jumps = switches(lambda t: crossings(o, d, t)[0][None], (edges[1:] + edges[:-1]) / 2)
         t, w = panels(np.sort(np.concatenate([edges, jumps])), 3)
         count, depth, length, to_light = crossings(o, d, t)
-        value = (w * (count == 1))[:, None] * phase(g, dot(to_light, d)) / length ** 2
+        value = (w * (count == 1))[:, None] * phase(g, dot(to_light, d)) / length**2
         total.append((value * np.exp(-np.multiply(sigma_t, (t + depth)[:, None]))).sum(0))
     return np.array(total) * sigma_s * light_intensity
 
 
-def plane_radiance(eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max,
-                   steps=32):
+def plane_radiance(eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max, steps=32):
     """Medium below z = 0, light above: quadrature over t of the point form with the flat D."""
     t, w = (t_max[:, None] * x for x in panels(np.linspace(0, 1, steps + 1), 16))
     point = o[:, None] + t[..., None] * d[:, None]
     along, (h_l, h_v) = point[..., :2] - light_position[:2], (light_position[2], -point[..., 2])
     rho = norm(along)[..., 0]
     lo, hi = np.zeros_like(rho), rho
-    for _ in range(60):                    # distance of P from the light's foot
+    for _ in range(60):  # distance of P from the light's foot
         x = (lo + hi) / 2
         short = x / np.hypot(x, h_l) < eta * (rho - x) / np.hypot(rho - x, h_v)
         lo, hi = np.where(short, x, lo), np.where(short, hi, x)
@@ -340,35 +399,34 @@ def plane_radiance(eta, sigma_s, sigma_t, g, light_position, light_intensity, o,
     c_l, c_v = h_l / d_l, h_v / d_v
     big_d = (d_v + eta * d_l) * (c_l / c_v * d_v + c_v / c_l * eta * d_l)
     level = (along * d[:, None, :2]).sum(-1) / np.maximum(rho, 1e-300) * (rho - x) / d_v
-    w = w * (1 - fresnel_reflectance(c_l, c_v, eta)) * eta ** 2 / big_d
+    w = w * (1 - fresnel_reflectance(c_l, c_v, eta)) * eta**2 / big_d
     w = w * phase(g, c_v * d[:, 2:] - level)
     w = w[..., None] * np.exp(-np.multiply(sigma_t, (t + d_v)[..., None]))
     return w.sum(1) * sigma_s * light_intensity
 
 
-def sphere_radiance(radius, eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max,
-                    scan=20001):
+def sphere_radiance(radius, eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max, scan=20001):
     """Exact sphere about the origin: quadrature over phi, the angle at the centre from light to P.
 
     Its light is a cone about that axis, a quadratic in t; nodes crowd where roots begin or end."""
     far = np.linalg.norm(light_position)
     axis, phi_max, total = np.asarray(light_position) / far, np.arccos(radius / far), []
 
-    @np.errstate(divide="ignore", invalid="ignore")       # lanes without a root are masked
+    @np.errstate(divide="ignore", invalid="ignore")  # lanes without a root are masked
     def roots(phi, o, d, t_max):
         """Whether light of phi (m,) meets the line, t + s, dL/dphi / (sigma_s I): (2,m) each."""
         sine, cosine = np.sin(phi), np.cos(phi)
         d_l = np.hypot(radius * sine, far - radius * cosine)
         c_l = (far * cosine - radius) / d_l
-        radicand = 1 - (1 - c_l ** 2) / eta ** 2
+        radicand = 1 - (1 - c_l**2) / eta**2
         c_v = np.sqrt(np.maximum(radicand, 0))
         bend = c_l / eta - c_v
         w_r = radius * sine / (eta * d_l) + bend * sine
         w_z = (radius * cosine - far) / (eta * d_l) + bend * cosine
         alpha, beta = radius * sine * w_z + (o @ axis - radius * cosine) * w_r, d @ axis * w_r
-        a = beta ** 2 - w_z ** 2 * (1 - (d @ axis) ** 2)  # (alpha + beta t)^2 = (w_z rho(t))^2
-        b = alpha * beta - w_z ** 2 * (o @ d - (o @ axis) * (d @ axis))
-        c = alpha ** 2 - w_z ** 2 * (o @ o - (o @ axis) ** 2)
+        a = beta**2 - w_z**2 * (1 - (d @ axis) ** 2)  # (alpha + beta t)^2 = (w_z rho(t))^2
+        b = alpha * beta - w_z**2 * (o @ d - (o @ axis) * (d @ axis))
+        c = alpha**2 - w_z**2 * (o @ o - (o @ axis) ** 2)
         q = -(b + np.where(b > 0, 1, -1) * np.sqrt(np.maximum(b * b - a * c, 0)))
         t = np.stack([q / a, c / q])
         point = o + t[..., None] * d
@@ -378,7 +436,7 @@ def sphere_radiance(radius, eta, sigma_s, sigma_t, g, light_position, light_inte
         outward = (point - z[..., None] * axis) / ((alpha + beta * t) / w_z)[..., None]
         omega = w_r[:, None] * outward + w_z[:, None] * axis
         volume = np.abs(dot(np.cross(omega, np.cross(axis, point)), d)[..., 0])  # axis x V: dV/dpsi
-        flux = c_l * (1 - fresnel_reflectance(c_l, c_v, eta)) * radius ** 2 * sine / d_l ** 2
+        flux = c_l * (1 - fresnel_reflectance(c_l, c_v, eta)) * radius**2 * sine / d_l**2
         value = flux * phase(g, -(omega @ d)) / volume
         return real, np.where(real, t + s, 0), np.where(real, value, 0)
 

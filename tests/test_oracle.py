@@ -1,12 +1,13 @@
 """The oracle against closed forms, laws and itself.  Imports nothing of the package."""
+
 import meshes
 import numpy as np
 import oracle
 import pytest
 from meshes import BoxTree, Mesh, bumpy_sphere, dot, icosphere, norm
 
-LIGHT = np.array([0.31, 0.53, 2.71])       # generic: no ray from it meets an edge exactly
-GREY = (0.5, 0.7, 0.3, LIGHT, 10.0)        # sigma_s, sigma_t, g, light, intensity
+LIGHT = np.array([0.31, 0.53, 2.71])  # generic: no ray from it meets an edge exactly
+GREY = (0.5, 0.7, 0.3, LIGHT, 10.0)  # sigma_s, sigma_t, g, light, intensity
 COLOUR = ([0.5, 0.9], [0.7, 0.2], 0.3, LIGHT, [10.0, 3.0])
 
 
@@ -48,8 +49,7 @@ def test_box_tree_finds_the_hits_of_a_plain_loop():
     length, skip = rng.uniform(0.5, 4, 500), rng.integers(-1, len(p), 500)
     ray, tri, tuv = tree.hits(o, d, length, skip)
     a = p[None] - o[:, None, None]
-    volume = np.array([dot(np.cross(a[:, :, i], a[:, :, j]), d[:, None])[..., 0]
-                       for i, j in ((0, 1), (1, 2), (2, 0))])
+    volume = np.array([dot(np.cross(a[:, :, i], a[:, :, j]), d[:, None])[..., 0] for i, j in ((0, 1), (1, 2), (2, 0))])
     normals = np.concatenate([m.facet_normals for m in parts])
     slope = d @ normals.T
     t = dot(a[:, :, 0], normals)[..., 0] / np.where(slope == 0, 1e-300, slope)
@@ -89,11 +89,10 @@ def test_gap_gradient_and_meeting_point(eta):
     assert np.abs(oracle.beam_gap(patch, uv, LIGHT, eta, o, d)[0]).max() < 1e-13
     t_scaled, s_scaled, scale = oracle.meeting(x, o, d)
     assert np.allclose(t_scaled / scale, 0.5) and np.allclose(s_scaled / scale, s)
-    o, h = o + 0.1, 1e-5                            # the gradient holds off the curve, too
+    o, h = o + 0.1, 1e-5  # the gradient holds off the curve, too
     gradient = oracle.beam_gap(patch, uv, LIGHT, eta, o, d)[1]
     for k in range(2):
-        ends = [oracle.beam_gap(patch, uv + h * e, LIGHT, eta, o, d)[0]
-                for e in (np.eye(2)[k], -np.eye(2)[k])]
+        ends = [oracle.beam_gap(patch, uv + h * e, LIGHT, eta, o, d)[0] for e in (np.eye(2)[k], -np.eye(2)[k])]
         assert np.allclose(gradient[:, k], (ends[0] - ends[1]) / (2 * h), atol=2e-8)
 
 
@@ -123,12 +122,11 @@ def test_curve_density_is_the_camera_side_density(eta):
     gradient = oracle.beam_gap(patch, uv, LIGHT, eta, o, d)[1]
     slope, h = norm(gradient), 1e-6
     tangent = gradient[:, ::-1] * [-1, 1] / slope
-    ahead, back = (oracle.meeting(oracle.light_ray(patch, uv + k * tangent, LIGHT, eta), o, d)
-                   for k in (h, -h))
+    ahead, back = (oracle.meeting(oracle.light_ray(patch, uv + k * tangent, LIGHT, eta), o, d) for k in (h, -h))
     dt_dl = np.abs(ahead[0] / ahead[2] - back[0] / back[2]) / (2 * h)
-    coefficients = np.array([2.0]), np.array([0.3]), np.array([7.0])     # sigma_s, sigma_t, I
+    coefficients = np.array([2.0]), np.array([0.3]), np.array([7.0])  # sigma_s, sigma_t, I
     curve = oracle._integrand(patch, uv, eta, coefficients, 0.6, LIGHT, (o, d, 9.0)) / slope / dt_dl
-    point = 14 * (1 - oracle.interface(-x.w_l, x.n, eta)[0]) * eta ** 2 * np.exp(-0.3 * (0.5 + s))
+    point = 14 * (1 - oracle.interface(-x.w_l, x.n, eta)[0]) * eta**2 * np.exp(-0.3 * (0.5 + s))
     point = point / camera_side_d(patch, x, s, eta) * oracle.phase(0.6, -dot(x.omega, d))
     assert np.allclose(curve, point, rtol=1e-4)
     assert np.median(np.abs(curve / point - 1)) < 1e-7
@@ -138,7 +136,7 @@ def test_curve_density_is_the_camera_side_density(eta):
 def test_flat_and_sphere_d_of_the_design(eta):
     patch, uv, _, s, _, _ = random_meetings(eta)
     flat = patch._replace(n=patch.ng, m1=0 * patch.ng, m2=0 * patch.ng)
-    p = unit(patch.p)                               # the unit sphere to second order at P
+    p = unit(patch.p)  # the unit sphere to second order at P
     e1 = unit(np.cross(p, [0.1, 0.2, 0.9]))
     e2, zero, one = np.cross(p, e1), np.zeros_like(uv), np.ones((len(p), 1))
     for ball, uv in ((flat, uv), (meshes.Patch(p, e1, e2, p, e1, e2, p, one), zero)):
@@ -149,9 +147,9 @@ def test_flat_and_sphere_d_of_the_design(eta):
             formula = (s + eta * d_l) * (c_l / c_v * s + c_v / c_l * eta * d_l)
         else:
             k = eta * c_v - c_l
-            tangential = 1 - s * (k - c_l ** 2 / d_l) / (eta * c_v ** 2)
+            tangential = 1 - s * (k - c_l**2 / d_l) / (eta * c_v**2)
             sagittal = 1 - s * (k - 1 / d_l) / eta
-            formula = eta ** 2 * d_l ** 2 * c_v / c_l * np.abs(tangential * sagittal)
+            formula = eta**2 * d_l**2 * c_v / c_l * np.abs(tangential * sagittal)
         definition = camera_side_d(ball, x, s, eta)
         assert good.sum() > 100
         assert np.allclose(formula[good], definition[good], rtol=1e-6, atol=1e-6)
@@ -163,7 +161,7 @@ def test_straight_line_at_eta_one(mesh):
     truth = oracle.straight_line_radiance(mesh, *COLOUR, o, d, t_max)
     curve = oracle.segment_radiance(mesh, 1.0, *COLOUR, o, d, t_max, 4)
     assert relative(curve, truth) < 1e-4 and np.abs(curve / truth - 1).max() < 1e-3
-    facets = Mesh(mesh.vertices, mesh.faces)        # normals play no part
+    facets = Mesh(mesh.vertices, mesh.faces)  # normals play no part
     assert np.array_equal(oracle.segment_radiance(facets, 1.0, *COLOUR, o, d, t_max, 4), curve)
 
 
@@ -217,11 +215,11 @@ def light_through_tube(mesh, eta, light, o, d, length, radius, count, rng):
     omega = tangential - c_v * normal
     towards = -dot(omega, mesh.facet_normals[tri])
     r_s, r_p = (c_l - eta * c_v) / (c_l + eta * c_v), (eta * c_l - c_v) / (eta * c_l + c_v)
-    power = (1 - (r_s ** 2 + r_p ** 2) / 2) * c_l * towards / np.maximum(c_v, 1e-9) / d_l ** 2
+    power = (1 - (r_s**2 + r_p**2) / 2) * c_l * towards / np.maximum(c_v, 1e-9) / d_l**2
     power = power * ((c_l > 0) & (c_v > 0) & (towards > 0)) * area / count
     away = point - o
     a, w = away - (away @ d)[:, None] * d, omega - (omega @ d)[:, None] * d
-    root = np.maximum(dot(a, w) ** 2 - dot(w, w) * (dot(a, a) - radius ** 2), 0) ** 0.5
+    root = np.maximum(dot(a, w) ** 2 - dot(w, w) * (dot(a, a) - radius**2), 0) ** 0.5
     ends = [(-dot(a, w) + sign * root) / dot(w, w) for sign in (-1, 1)]
     caps = np.sort([(x - away @ d) / (omega @ d) for x in (0, length)], axis=0)[..., None]
     low, high = np.maximum(np.maximum(ends[0], caps[0]), 0), np.minimum(ends[1], caps[1])
@@ -231,12 +229,14 @@ def light_through_tube(mesh, eta, light, o, d, length, radius, count, rng):
     v = point + s * omega
     free = tree.clear(point, np.broadcast_to(light, v.shape), tri) & tree.clear(point, v, tri)
     value = 5 * power * (high - low) * oracle.phase(0.3, -(omega @ d))[:, None] * free[:, None]
-    value = value * np.exp(-0.7 * (s + ((v - o) @ d)[:, None])) / (np.pi * radius ** 2)
-    return value.sum(), np.sqrt((value ** 2).sum())
+    value = value * np.exp(-0.7 * (s + ((v - o) @ d)[:, None])) / (np.pi * radius**2)
+    return value.sum(), np.sqrt((value**2).sum())
 
 
-@pytest.mark.parametrize("amplitude, eta, smooth, seed", [
-    (0.2, 1.5, True, 4), (0.5, 0.8, True, 12), (0.5, 1.3, True, 10), (0.2, 1.4, False, 1)])
+@pytest.mark.parametrize(
+    "amplitude, eta, smooth, seed",
+    [(0.2, 1.5, True, 4), (0.5, 0.8, True, 12), (0.5, 1.3, True, 10), (0.2, 1.4, False, 1)],
+)
 def test_energy_and_shadows_against_random_light_rays(amplitude, eta, smooth, seed):
     mesh, light = bumpy_sphere(2, amplitude), np.array([0.3, 1.5, 1.6])
     mesh, rng = mesh if smooth else Mesh(mesh.vertices, mesh.faces), np.random.default_rng(seed)
@@ -249,8 +249,7 @@ def test_energy_and_shadows_against_random_light_rays(amplitude, eta, smooth, se
     ray, _, tuv = BoxTree([mesh]).hits(start, along, np.full(count, np.inf), np.full(count, -1))
     assert (tuv[:, 0] > length).all() and (np.bincount(ray, minlength=count) % 2 == 1).all()
     truth, error = light_through_tube(mesh, eta, light, o, d, length, radius, 400_000, rng)
-    value = oracle.segment_radiance(mesh, eta, *GREY[:3], light, 10.0, start, along,
-                                    np.full(count, length), 4)
+    value = oracle.segment_radiance(mesh, eta, *GREY[:3], light, 10.0, start, along, np.full(count, length), 4)
     assert error < 0.04 * truth
     assert abs(value.mean() - truth) < 3 * error + value.std() / np.sqrt(count)
 
@@ -261,13 +260,14 @@ def test_screens_shadow_outside_and_inside():
     o, d, t_max = chords(mesh, 20, 6)
     plain = oracle.segment_radiance(mesh, 1.4, *GREY, o, d, t_max, 4)
     for height, size in ((1.6, 3), (-0.213, 2)):
-        left, right = (meshes.box((x, -size, height), (x + size, size, height + 1e-6))
-                       for x in (0.0517 - size, 0.0517))
-        one, other, both = (oracle.segment_radiance(mesh, 1.4, *GREY, o, d, t_max, 4, screens)
-                            for screens in ((left,), (right,), (left, right)))
+        left, right = (meshes.box((x, -size, height), (x + size, size, height + 1e-6)) for x in (0.0517 - size, 0.0517))
+        one, other, both = (
+            oracle.segment_radiance(mesh, 1.4, *GREY, o, d, t_max, 4, screens)
+            for screens in ((left,), (right,), (left, right))
+        )
         assert relative(one + other, plain + both) < 1e-4
         assert 0.1 < one.sum() / plain.sum() < 0.9
-        above = (o[:, 2] > height) & (o[:, 2] + t_max * d[:, 2] > height)   # of the inner screen
+        above = (o[:, 2] > height) & (o[:, 2] + t_max * d[:, 2] > height)  # of the inner screen
         assert above.sum() == 0 if height > 1 else above.sum() > 3
         assert np.allclose(both[above], plain[above]) and (height < 1 or np.all(both == 0))
 
@@ -275,7 +275,7 @@ def test_screens_shadow_outside_and_inside():
 @pytest.mark.parametrize("level, eta", [(1, 1.5), (3, 1.5), (2, 0.75)])
 def test_subdivision_converges_and_segments_add(level, eta):
     mesh = bumpy_sphere(level, 0.1)
-    o, d, t_max = (x[:20] for x in chords(mesh, 100, 7))     # two at the critical angle
+    o, d, t_max = (x[:20] for x in chords(mesh, 100, 7))  # two at the critical angle
     value = [oracle.segment_radiance(mesh, eta, *GREY, o, d, t_max, m) for m in (1, 4, 12)]
     assert relative(value[0], value[2]) < 1e-3
     assert relative(value[1], value[2]) < 5e-5 and np.abs(value[1] / value[2] - 1).max() < 1e-3
@@ -283,7 +283,8 @@ def test_subdivision_converges_and_segments_add(level, eta):
     for k in range(count):
         start = (t_max * k / count)[:, None]
         parts = parts + np.exp(-0.7 * start) * oracle.segment_radiance(
-            mesh, eta, *GREY, o + start * d, d, t_max / count, 4)
+            mesh, eta, *GREY, o + start * d, d, t_max / count, 4
+        )
     assert relative(parts, value[1]) < 1e-4
 
 
@@ -291,12 +292,24 @@ def test_moved_and_scaled_scene():
     mesh, move, k = bumpy_sphere(3, 0.1), np.array([1000.0, -500.0, 200.0]), 1e3
     o, d, t_max = chords(mesh, 20, 8)
     plain = oracle.segment_radiance(mesh, 1.4, *GREY, o, d, t_max, 4)
-    moved = oracle.segment_radiance(Mesh(mesh.vertices + move, mesh.faces, mesh.normals), 1.4,
-                                    *GREY[:3], LIGHT + move, 10.0, o + move, d, t_max, 4)
+    moved = oracle.segment_radiance(
+        Mesh(mesh.vertices + move, mesh.faces, mesh.normals), 1.4, *GREY[:3], LIGHT + move, 10.0, o + move, d, t_max, 4
+    )
     assert np.allclose(moved, plain, rtol=1e-6)
-    large = oracle.segment_radiance(Mesh(k * mesh.vertices, mesh.faces, 3 * mesh.normals), 1.4,
-                                    0.5 / k, 0.7 / k, 0.3, k * LIGHT, 10.0, k * o, d, k * t_max, 4)
-    assert np.allclose(k ** 2 * large, plain, rtol=1e-6)      # intensity per area
+    large = oracle.segment_radiance(
+        Mesh(k * mesh.vertices, mesh.faces, 3 * mesh.normals),
+        1.4,
+        0.5 / k,
+        0.7 / k,
+        0.3,
+        k * LIGHT,
+        10.0,
+        k * o,
+        d,
+        k * t_max,
+        4,
+    )
+    assert np.allclose(k**2 * large, plain, rtol=1e-6)  # intensity per area
 
 
 def test_interface_obeys_snell_and_keeps_energy():
@@ -304,15 +317,15 @@ def test_interface_obeys_snell_and_keeps_energy():
     d, n = unit(rng.normal(size=(500, 3))), unit(rng.normal(size=(500, 3)))
     fresnel, reflected, refracted, scale = oracle.interface(d, n, 1.5)
     out = (dot(d, n) > 0)[:, 0]
-    index = np.where(out, 1 / 1.5, 1.5)[:, None]    # of the far side against the near one
+    index = np.where(out, 1 / 1.5, 1.5)[:, None]  # of the far side against the near one
     total = (norm(np.cross(d, n)) > index)[:, 0]
     assert np.all(out[total]) and 50 < total.sum() < 250
     assert np.all(fresnel[total] == 1) and np.all(fresnel[~total] < 1)
-    assert np.allclose(reflected, d - 2 * dot(d, n) * n) and np.allclose(scale * index ** 2, 1)
+    assert np.allclose(reflected, d - 2 * dot(d, n) * n) and np.allclose(scale * index**2, 1)
     d, n, fresnel, refracted, index = (x[~total] for x in (d, n, fresnel, refracted, index))
     assert np.allclose(norm(refracted), 1) and np.all(dot(refracted, n) * dot(d, n) > 0)
     assert np.allclose(np.cross(refracted, n) * index, np.cross(d, n))
-    back = oracle.interface(-refracted, n, 1.5)     # F is the same both ways
+    back = oracle.interface(-refracted, n, 1.5)  # F is the same both ways
     assert np.allclose(back[0], fresnel) and np.allclose(back[2], -d)
     assert np.allclose(oracle.interface(-n, n, 1.5)[0], 0.04)
 
@@ -326,7 +339,7 @@ O, D = np.array([[0.12, 0.23, 1.0]]), unit(np.array([[0.6, 0.2, -0.7]]))
 
 def through(eta):
     """Reflectance of a horizontal face for D, and the length of D's way through a slab."""
-    way = 1 / np.sqrt(1 - (1 - D[0, 2] ** 2) / eta ** 2)
+    way = 1 / np.sqrt(1 - (1 - D[0, 2] ** 2) / eta**2)
     return oracle.interface(D, np.array([[0, 0, 1.0]]), eta)[0][0, 0], way
 
 
@@ -334,7 +347,7 @@ def through(eta):
 def test_slab_chain_has_the_weights_of_the_design(bounces):
     body, (f, way) = slab(0, 1.5, np.array([0.7, 0.1])), through(1.5)
     legs, k = oracle.camera_segments([body], O, D, bounces), np.arange(bounces + 1)[:, None]
-    weight = (1 - f) / 1.5 ** 2 * f ** k * np.exp(-body.sigma_t * k * way)
+    weight = (1 - f) / 1.5**2 * f**k * np.exp(-body.sigma_t * k * way)
     assert legs.weight.shape == weight.shape and np.allclose(legs.weight, weight, rtol=1e-12)
     assert np.allclose(legs.t_max, way) and np.allclose(legs.d[:, 2], (-1.0) ** (k[:, 0] + 1) / way)
 
@@ -344,7 +357,7 @@ def test_leaving_one_slab_and_entering_another():
     (f, way), (f2, way2) = through(1.5), through(1.33)
     assert len(oracle.camera_segments(bodies, O, D, 0).ray) == 1
     legs = oracle.camera_segments(bodies, O, D, 1)
-    direct = (1 - f) ** 2 * np.exp(-0.7 * way) * (1 - f2) / 1.33 ** 2
+    direct = (1 - f) ** 2 * np.exp(-0.7 * way) * (1 - f2) / 1.33**2
     again = direct * f2 * np.exp(-0.3 * way2)
     # the lower slab down and up; other ways into it hit from outside or reflect too often
     assert np.allclose(legs.weight[legs.body == 1][:, 0], [direct, again])
@@ -354,7 +367,7 @@ def test_leaving_one_slab_and_entering_another():
 
 def test_total_reflection_keeps_the_weight():
     cube = oracle.Body(meshes.box((-50, -1, -1), (50, 1, 1)), 1.5, np.ones(1), np.array([0.7]))
-    o, d = np.array([[-51, 0.012, 0.5]]), unit(np.array([[0.8, 0.011, -0.6]]))     # by the end face
+    o, d = np.array([[-51, 0.012, 0.5]]), unit(np.array([[0.8, 0.011, -0.6]]))  # by the end face
     legs = oracle.camera_segments([cube], o, d, 3)
     passed = np.concatenate([[0], np.cumsum(legs.t_max)[:-1]])
     assert len(passed) == 4
@@ -376,8 +389,11 @@ def test_eta_one_body_transmits_all_and_may_be_entered_again():
     weight = np.exp(-passed[:, None] * body.sigma_t)
     assert np.allclose(legs.weight[order], weight)
     truth, lit = np.zeros((60, 2)), (body.sigma_s, body.sigma_t, 0.3, LIGHT, [10.0, 3.0])
-    np.add.at(truth, ray, weight * oracle.straight_line_radiance(
-        mesh, *lit, o[ray] + start[:, None] * d[ray], d[ray], end - start, 64))
+    np.add.at(
+        truth,
+        ray,
+        weight * oracle.straight_line_radiance(mesh, *lit, o[ray] + start[:, None] * d[ray], d[ray], end - start, 64),
+    )
     value = oracle.camera_radiance([body], [lit[3:]], o, d, 5, 4)
     assert relative(value, truth) < 5e-4
 
@@ -392,6 +408,7 @@ def test_lights_add_and_other_bodies_shadow():
 
     def radiance(bodies, lights, bounces, *opaque):
         return oracle.camera_radiance(bodies, lights, o, d, bounces, 4, opaque)
+
     both, each = radiance([glass], lights, 2), [radiance([glass], [x], 2) for x in lights]
     assert np.allclose(each[0] + each[1], both, rtol=1e-12) and np.min(each) > 0
     once, shaded = radiance([glass], lights, 0), radiance([glass, clear], lights, 0)
