@@ -9,7 +9,7 @@ import build
 import mitsuba as mi
 import numpy as np
 import pytest
-from faults import BALL, Maker, amber, refused, render, sensor, with_faces
+from faults import BALL, Maker, amber, moved, refused, render, sensor, with_faces
 from meshes import Mesh
 
 from mitsuba_refscatter import platform
