@@ -121,6 +121,7 @@ def _split(scene, legs, pi, tri, target, active, internal_bounces, again, surfac
     """The reflected and the refracted legs behind a hit with a boundary."""
     within = legs.body != NONE
     centre = dr.gather(mi.Point3f, scene.centre, target, active)
+    extent = dr.gather(mi.Float, scene.extent, target, active)
     eta = dr.select(active, dr.gather(mi.Float, scene.eta, target, active), 1)
     n = tri.normal(pi.prim_uv.x, pi.prim_uv.y)
     P = tri.position(pi.prim_uv.x, pi.prim_uv.y) + centre
@@ -148,7 +149,7 @@ def _split(scene, legs, pi, tri, target, active, internal_bounces, again, surfac
             goes_on &= reflections <= internal_bounces
         if not surfaces:
             goes_on &= inside | mi.Bool(again)
-        origin = P + tri.Ng * dr.copysign(tolerances.CAMERA_OFFSET * scene.extent, side)
+        origin = P + tri.Ng * dr.copysign(tolerances.CAMERA_OFFSET * extent, side)
         legs_on = Legs(origin, d, weight, legs.sample, dr.select(inside, target, NONE),
                        reflections if mirrored else legs.reflections, entries)  # fmt: skip
         kept = dr.compress(goes_on)

@@ -29,7 +29,7 @@ class Body:
 
     ``corners``: float64 (F, 3, 3), world; ``normals``: unit, geometric, outward
     (F, 3); ``twin``: of each directed edge (``mesh.twins``); ``first_record``: of its triangles in ``Scene.records``;
-    ``centre``: 3 floats; ``box_low``, ``box_high``: body coordinates; ``size``: diagonal of the box;
+    ``centre``: 3 floats; ``box_low``, ``box_high``: body coordinates; ``size``: diagonal of the box; ``extent``: largest coordinate, world;
     ``medium``: None for a clear body; ``g``: Henyey-Greenstein asymmetry (Float) or None if isotropic.
     """
 
@@ -46,6 +46,7 @@ class Body:
     box_low: list
     box_high: list
     size: float
+    extent: float
     convex: bool
     medium: object = None
     g: object = None
@@ -84,7 +85,7 @@ class Scene:
     """All that the integrator needs to know of a scene.
 
     ``records``: the packed triangles of all bodies, each in its body's coordinates; ``body_of_shape``,
-    ``eta``, ``first_record``, ``centre``: tables for lookups in kernels; ``extent``: the largest coordinate;
+    ``eta``, ``first_record``, ``centre``, ``extent``: tables for lookups in kernels;
     ``others``: the shapes that are no bodies.
     """
 
@@ -124,7 +125,6 @@ def _name_shape(shape):
 
 def read(scene):
     """Reads a ``mi.Scene``. Raises ``SceneError`` for what cannot be rendered."""
-    _refuse_gradients(scene)
     bodies, others, packed = [], [], []
     for shape in scene.shapes():
         if _is_body(shape):
@@ -141,13 +141,12 @@ def read(scene):
     table = np.full(1 + max(_shape_id(shape) for shape in scene.shapes()), NONE, dtype=np.uint32)
     for body in bodies:
         table[_shape_id(body.shape)] = body.index
-    box = scene.bbox()
     return Scene(
         mi_scene=scene, bodies=bodies, lights=lights, records=mi.Float(np.concatenate(packed)),
         body_of_shape=mi.UInt32(table), eta=mi.Float([body.eta for body in bodies]),
         first_record=mi.UInt32([body.first_record for body in bodies]),
         centre=mi.Float([x for body in bodies for x in body.centre]),
-        extent=float(max(abs(x) for corner in (box.min, box.max) for x in corner)), others=others,
+        extent=mi.Float([body.extent for body in bodies]), others=others,
     )  # fmt: skip
 
 
@@ -155,7 +154,8 @@ def _shape_id(shape):
     return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
-def _refuse_gradients(scene):
+def refuse_gradients(scene):
+    """Raises ``SceneError`` where derivatives are asked for; outside of ``dr.suspend_grad``, which hides it."""
     for key, value in mi.traverse(scene):
         if dr.grad_enabled(value):
             raise SceneError(f'gradients are enabled on "{key}": refscatter does not compute derivatives yet; '
@@ -190,11 +190,15 @@ def _is_body(shape):
             f"{name} is a dielectric body and an emitter at once: refscatter does not support this; remove the emitter"
         )
     for key, value in mi.traverse(bsdf):
-        if key.startswith("specular_") and not dr.all(dr.ravel(value) == 1):
+        if key.startswith("specular_") and not _is_one(key, value):
             raise SceneError(
-                f"{name} has the BSDF property {key} other than 1, which refscatter does not support yet: remove it"
+                f"{name} has the BSDF property {key.split('.')[0]} other than 1, which refscatter does not support yet: remove it"
             )
     return True
+
+
+def _is_one(key, value):
+    return key.endswith(".value") and bool(dr.all(dr.ravel(value) == 1))
 
 
 def _read_body(shape, index, first_record):
@@ -209,25 +213,56 @@ def _read_body(shape, index, first_record):
     if twin is None:
         raise SceneError(f"{name} has a hole, or triangles that wind inconsistently or share an edge with more than one other: "
                          "refscatter needs a closed surface; close it or make its orientation consistent")  # fmt: skip
-    # A mirrored transform turns the winding: the interior is what the surface encloses, either way.
-    Ng = triangle.geometric_normal(corners) * np.sign(mesh_facts.volume(corners))
+    part = mesh_facts.components(topology)
+    Ng = _outward(corners, triangle.geometric_normal(corners), part, name)
     eta = _eta(shape.bsdf(), name)
     if normals is None or eta == 1:  # without refraction shading normals play no part
         corner_normals = np.repeat(Ng[:, None, :], 3, axis=1)
     else:
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        agreement = np.einsum("fki,fi,f->", normals[faces], Ng, area)
-        corner_normals = normals[faces] * np.sign(agreement)
+        agreement = np.bincount(part, np.einsum("fki,fi,f->f", normals[faces], Ng, area))
+        corner_normals = normals[faces] * np.sign(agreement)[part][:, None, None]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     centre = np.float64(np.float32(0.5 * (low + high)))
     body = Body(
         name=name, shape=shape, index=index, eta=eta, corners=corners, normals=Ng, twin=twin,
         centre=centre.tolist(), first_record=first_record, triangle_count=len(faces),
         box_low=(low - centre).tolist(), box_high=(high - centre).tolist(),
-        size=float(np.linalg.norm(high - low)), convex=mesh_facts.is_convex(corners, Ng, topology, twin),
+        size=float(np.linalg.norm(high - low)), extent=float(np.abs(corners).max()), convex=mesh_facts.is_convex(corners, Ng, topology, twin),
     )  # fmt: skip
     _read_medium(body, shape.interior_medium())
     return body, triangle.pack(corners - centre, corner_normals, Ng)
+
+
+def _outward(corners, normals, part, name):
+    """Geometric normals turned outwards, for each connected ``part`` of a mesh by itself.
+
+    A mirrored transform turns the winding: the interior is what the surface encloses, either way.
+    """
+    signs = np.ones(part.max() + 1)
+    for k in range(len(signs)):
+        piece = corners[part == k]
+        volume = mesh_facts.volume(piece)
+        if abs(volume) < 1e-9 * np.ptp(piece.reshape(-1, 3), axis=0).max() ** 3:
+            raise SceneError(f"{name} has a part that encloses no volume: remove it or mend the mesh")
+        signs[k] = np.sign(volume)
+    _refuse_nested_parts(corners, part, name)
+    return normals * signs[part][:, None]
+
+
+def _refuse_nested_parts(corners, part, name):
+    """Parts of one mesh (the loader merges shapes of one material) must be apart from each other, too."""
+    boxes = [(corners[part == k].min(axis=(0, 1)), corners[part == k].max(axis=(0, 1))) for k in range(part.max() + 1)]
+    for i, (low, high) in enumerate(boxes):
+        for j in range(len(boxes)):
+            if i == j or (boxes[j][0] > high).any() or (boxes[j][1] < low).any():
+                continue
+            points = corners[part == j].reshape(-1, 3)
+            points = points[((points >= low) & (points <= high)).all(axis=1)]
+            for point in points[:: max(1, len(points) // 64)]:
+                if mesh_facts.encloses(corners[part == i], point):
+                    raise SceneError(f"{name} has parts inside each other or that overlap: refscatter supports bodies apart "
+                                     "from each other only; separate them")  # fmt: skip
 
 
 def _read_mesh(shape, name):
@@ -272,10 +307,28 @@ def _read_medium(body, medium):
         raise SceneError(
             f"{body.name} has the phase function {phase.class_name()}: refscatter supports isotropic and hg"
         )
+    _check_coefficients(body.name, medium, phase)
     body.medium = medium
     parameters = mi.traverse(medium)
     albedo = [value for key, value in parameters if key.startswith("albedo.")]
     body.scatters = not albedo or any(bool(dr.any(dr.ravel(value) != 0)) for value in albedo)
+
+
+def _check_coefficients(name, medium, phase):
+    """Refuses coefficients that vary in space or that no medium has."""
+    limits = {"albedo": (0, 1), "sigma_t": (0, np.inf), "scale": (0, np.inf), "phase_function": (-1, 1)}
+    for key, value in mi.traverse(medium):
+        option = key.split(".")[0]
+        if option in ("albedo", "sigma_t") and (key.endswith(".data") or "grid" in key):
+            raise SceneError(f"{name} has a medium whose {option} varies in space: refscatter needs a constant one")
+        if option in limits and (key == "scale" or key.endswith((".value", ".values", ".g"))):
+            low, high = limits[option]
+            x = np.array(dr.ravel(value) if dr.is_array_v(value) else value, dtype=float)
+            if not (np.isfinite(x).all() and (x >= low).all() and (x <= high).all()):
+                what = "the phase function's g" if option == "phase_function" else f"the medium's {option}"
+                raise SceneError(
+                    f"{name} has a value of {what} that is not finite or outside [{low}, {high}]: correct it"
+                )
 
 
 def _read_lights(scene, bodies, scatters):
@@ -287,6 +340,8 @@ def _read_lights(scene, bodies, scatters):
     for emitter in emitters:
         kind = emitter.class_name()
         name = describe(emitter, "emitter", f"of type {kind}")
+        if emitter.get_shape() is not None:
+            name = f"the {kind} emitter of {_name_shape(emitter.get_shape())}"
         if kind != "PointLight":
             if scatters:
                 raise SceneError(f"{name} is no point light: refscatter computes the scattering of point lights only; "
@@ -295,7 +350,14 @@ def _read_lights(scene, bodies, scatters):
         position = np.array(mi.traverse(emitter)["position"], dtype=np.float64).ravel()
         if not np.isfinite(position).all():
             raise SceneError(f"{name} has a position that is not finite: mend it")
+        intensity = [x for key, x in mi.traverse(emitter) if key.startswith("intensity") and dr.is_array_v(x)]
+        if not all(np.isfinite(np.array(dr.ravel(x))).all() for x in intensity):
+            raise SceneError(f"{name} has an intensity that is not finite: correct it")
         for body in bodies:
+            if mesh_facts.touches(body.corners, position):
+                raise SceneError(
+                    f"{name} lies on the boundary of {body.name}: move it out, by more than 1e-6 of the body's size"
+                )
             if mesh_facts.encloses(body.corners, position):
                 raise SceneError(
                     f"{name} is inside {body.name}: refscatter supports lights outside of bodies only; move it out"

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 SHADOW_OFFSET = 2e-6
-"""Relative to the scene's largest coordinate: how far shadow rays start off the surface. float32 rounds
+"""Relative to the body's largest coordinate: how far shadow rays start off the surface. float32 rounds
 positions to 6e-8 of them and an intersection loses a few times that."""
 
 SHADOW_END = 1e-4
 """Relative to its length: what a shadow ray leaves out at its end, where V may lie on the boundary."""
 
 CAMERA_OFFSET = 2e-6
-"""Relative to the scene's largest coordinate: how far camera legs start off a boundary."""
+"""Relative to the body's largest coordinate: how far camera legs start off a boundary."""
 
 PARALLEL = 1e-6
 """sin^2 of the angle between light and camera ray below which they have no common point in float32."""

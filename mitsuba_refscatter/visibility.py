@@ -23,7 +23,7 @@ class Shadows:
     def __init__(self, scene, body, position, L):
         self.scene, self.body, self.position, self.L = scene, body, position, L
         self.centre = dr.opaque(mi.Point3f, body.centre)
-        self.offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * scene.extent)
+        self.offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * body.extent)
         others = scene.others + [other.shape for other in scene.bodies if other is not body]
         guests = any(_boxes_meet(body.shape.bbox(), shape.bbox()) for shape in others)
         self.lit = None if body.convex and not others else self._lit
@@ -69,7 +69,7 @@ class Shadows:
                 self.scene.records, dr.gather(mi.UInt32, triangles, mi.UInt32(rest.astype(np.uint32)))
             )
             relative = [p - self.L for p in (tri.P0, tri.P0 + tri.P_u, tri.P0 + tri.P_v)]
-            skin = tolerances.SHADOW_OFFSET * self.scene.extent
+            skin = tolerances.SHADOW_OFFSET * self.body.extent
             uniform[rest] = ~silhouette.covered(relative, tri.Ng, edges - self.position, skin).numpy()
         return uniform
 

@@ -206,3 +206,39 @@ def test_rays_that_are_not_active_are_left_out(rgb, tmp_path):
     assert set(segments(some).ray % 2) == {1} and not some.hit.numpy()[::2].any() and some.hit.numpy()[1::2].all()
     none = camera.trace(found, ray, mi.Bool(False), 2, True, 0.0)
     assert not any(none.segments) and not none.ends
+
+
+@pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (0.5, -0.7, 0.6)], ids=["moved", "mirrored", "squeezed"])
+@pytest.mark.parametrize("normals", [True, False], ids=["smooth", "facets"])
+def test_bodies_that_the_loader_merges(rgb, tmp_path, scale, normals):
+    """By default Mitsuba makes one shape of meshes with one material; a mirrored one among them winds inwards."""
+    body = bodies("concave")[0]
+    mesh = body.mesh if normals else body.mesh.__class__(body.mesh.vertices, body.mesh.faces, None)
+    shape, parts = build.mesh_shape(mesh, tmp_path / "mesh.ply"), {"light": build.point_light((0, 50, 0))}
+    parts |= {"glass": shape.pop("bsdf"), "amber": shape.pop("interior")}
+    for k, transform in enumerate(
+        (mi.ScalarTransform4f(), mi.ScalarTransform4f().translate([2.4, 0.2, 0]).scale(scale))
+    ):
+        material = {"bsdf": {"type": "ref", "id": "glass"}, "interior": {"type": "ref", "id": "amber"}}
+        parts[f"body{k}"] = {**shape, **material, "to_world": transform}
+    apart, merged = (read(mi.load_dict({"type": "scene", **parts}, optimize=x)) for x in (False, True))
+    assert len(apart.bodies) == 2 and len(merged.bodies) == 1
+    o, d = build.rays_at((0, 1.1, 7.2), 2.4, 300, seed=7)
+    o = build.rounded(o + [1.2, 0, 0])
+    found = [segments(trace(x, o, d, 1)) for x in (apart, merged)]
+    assert len(found[0].ray) > 200 and len(found[0].ray) == len(found[1].ray)
+    for x, y in zip(*[(np.bincount(s.ray, s.weight[:, 0], 300), np.bincount(s.ray, s.t_max, 300)) for s in found]):
+        np.testing.assert_allclose(x, y, rtol=1e-4, atol=1e-5)
+
+
+def test_a_distant_object_does_not_matter(rgb, tmp_path):
+    """How far rays start off a surface must follow from where the surface is, not from the size of the whole scene:
+    a small cube far beside everything changes the single scattering by no more than rounding does."""
+    body = build.mesh_shape(bodies("concave")[0].mesh, tmp_path / "mesh.ply")
+    near = {"type": "scene", "light": build.point_light((-2.6, 2.4, -0.9)), "body": body}
+    cube = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([4000, 0, 0]), "bsdf": {"type": "diffuse"}}
+    o, d = build.rays_at(CAMERA, 0.95, 300, seed=8)
+    alone, beside = (
+        build.single_scattering(mi.load_dict(x), o, d, internal_bounces=1) for x in (near, {**near, "far": cube})
+    )
+    assert np.abs(alone - beside).sum() < 1e-3 * alone.sum()

@@ -144,9 +144,9 @@ def test_single_scattering(name, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BODIES)
 def test_single_scattering_long(name, tmp_path):
-    """Ten times the samples of both, and more."""
+    """Ten times the samples."""
     case = Case(name, tmp_path)
-    check(compare(case.ours(60, 16), case.theirs(240, 1024), BLOCK), mean_error=0.006, block_error=0.04)
+    check(compare(case.ours(24, 16), case.theirs(160, 1024), BLOCK), mean_error=0.006, block_error=0.04)
 
 
 # ---- Surfaces ---------------------------------------------------------------------------------

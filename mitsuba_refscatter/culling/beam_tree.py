@@ -132,14 +132,22 @@ def _hull(points, pad=0):
 
 
 def _beam_box(P, omega, bend, body):
-    """Box of a beam inside the box of its body: from its triangle as far as its longest ray goes."""
+    """Box of a beam inside the box of its body: from its triangle as far as any of its rays can go.
+
+    A ray leaves the body's box at the latest where it passes the wall ahead along any one axis. Rays between the
+    corners may go further than the corners' own: per axis the longest way is taken, over the axes the shortest.
+    """
     low, high = (dr.opaque(mi.Vector3f, x) for x in (body.box_low, body.box_high))
-    reach = mi.Float(0)
-    for p, w in zip(P, omega):
-        wall = dr.select(w > 0, high, low)
-        leave = (wall - p) / dr.select(dr.abs(w) < 1e-12, 1e-12, w)
-        reach = dr.maximum(reach, dr.min(dr.abs(leave)))
-    reach = dr.minimum(reach, dr.norm(high - low))
+    reach = dr.norm(high - low)
+    P_low, P_high = _hull(P)
+    w_low, w_high = _hull(omega, bend)
+    for k in range(3):
+        up, down = (
+            (high[k] - P_low[k]) / dr.maximum(w_low[k], 1e-6),
+            (P_high[k] - low[k]) / dr.maximum(-w_high[k], 1e-6),
+        )
+        along = dr.select(w_low[k] > 1e-6, up, dr.select(w_high[k] < -1e-6, down, 1e30))
+        reach = dr.minimum(reach, along)
     ends = [p + reach * w for p, w in zip(P, omega)]
     box_low, box_high = _hull(list(P) + ends, bend * reach)
     return dr.maximum(box_low, low), dr.minimum(box_high, high)

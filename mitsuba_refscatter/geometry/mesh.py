@@ -33,6 +33,41 @@ def volume(corners):
     return float(np.einsum("fi,fi->", centred[:, 0], np.cross(centred[:, 1], centred[:, 2])) / 6)
 
 
+def components(faces):
+    """Number of the connected component of each face (F,), by common vertices."""
+    a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    root = np.arange(int(faces.max()) + 1)
+    while (root[a] != root[b]).any():
+        low, high = np.minimum(root[a], root[b]), np.maximum(root[a], root[b])
+        np.minimum.at(root, high, low)
+        while (root[root] != root).any():
+            root = root[root]
+    return np.unique(root[faces[:, 0]], return_inverse=True)[1].reshape(-1)
+
+
+def touches(corners, point):
+    """Whether the point lies on a triangle, to float32: it then sees it under half the sphere, or an edge from between
+    its ends."""
+    a, b, c = (corners[:, k] - point for k in range(3))
+    size = np.ptp(corners.reshape(-1, 3), axis=0).max()
+    angle, lengths = _solid_angles(a, b, c)
+    if (np.min(lengths) < 1e-6 * size) or (np.abs(angle) > 2 * np.pi - 1e-4).any():
+        return True
+    for x, y, lx, ly in ((a, b, 0, 1), (b, c, 1, 2), (c, a, 2, 0)):
+        together = lengths[lx] * lengths[ly]
+        if (together + np.einsum("fi,fi->f", x, y) < 1e-10 * together).any():
+            return True
+    return False
+
+
+def _solid_angles(a, b, c):
+    """Signed solid angles of triangles with corners a, b, c seen from 0, and the corners' distances (3, F)."""
+    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+    triple = np.einsum("fi,fi->f", a, np.cross(b, c))
+    dots = np.einsum("fi,fi->f", a, b) * lc + np.einsum("fi,fi->f", b, c) * la + np.einsum("fi,fi->f", c, a) * lb
+    return 2 * np.arctan2(triple, la * lb * lc + dots), np.stack([la, lb, lc])
+
+
 def is_convex(corners, normals, faces, twin):
     """Whether a closed mesh with outward unit face ``normals`` bounds one convex body.
 
@@ -50,8 +85,4 @@ def is_convex(corners, normals, faces, twin):
 def encloses(corners, point):
     """Whether the closed mesh with corners (F, 3, 3) encloses the point: its solid angle is 4 pi, not 0."""
     a, b, c = (corners[:, k] - point for k in range(3))
-    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-    triple = np.einsum("fi,fi->f", a, np.cross(b, c))
-    dots = np.einsum("fi,fi->f", a, b) * lc + np.einsum("fi,fi->f", b, c) * la + np.einsum("fi,fi->f", c, a) * lb
-    angle = 2 * np.arctan2(triple, la * lb * lc + dots)
-    return bool(abs(angle.sum()) > 2 * np.pi)
+    return bool(abs(_solid_angles(a, b, c)[0].sum()) > 2 * np.pi)

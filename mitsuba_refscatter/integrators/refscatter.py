@@ -7,10 +7,15 @@ from .. import camera, film, lanes, options, platform, tolerances, visibility, w
 from ..culling import beams as light_beams
 from ..culling import clearance
 from ..estimators import curve
-from ..scene import read
+from ..scene import SceneError, read, refuse_gradients
 from ..wavefront import Segments
 
-NESTED_WITH_MEDIA = ("VolumetricPathIntegrator", "VolpathMisIntegratorImpl", "PRBVolpathIntegrator")
+NESTED_WITH_MEDIA = (
+    "RefscatterIntegrator",
+    "VolumetricPathIntegrator",
+    "VolpathMisIntegratorImpl",
+    "PRBVolpathIntegrator",
+)
 
 
 class RefscatterIntegrator(mi.SamplingIntegrator):
@@ -67,13 +72,21 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         """Radiance along the rays. Evaluates kernels, so it cannot be part of a symbolic loop or call."""
         if dr.flag(dr.JitFlag.SymbolicScope):
             raise RuntimeError("refscatter cannot run inside a symbolic loop or call: call it on evaluated rays")
+        refuse_gradients(scene)
         with dr.suspend_grad():
             return self._sample(Prepared(scene, self.options), sampler, ray, mi.Spectrum(1), active, None)
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
         platform.require_usable(mi.variant())
         if isinstance(sensor, int):
+            if not scene.sensors():
+                raise SceneError("the scene has no sensor: add one")
             sensor = scene.sensors()[sensor]
+        if sensor.get_medium() is not None:
+            raise SceneError(
+                "the sensor is inside a medium: refscatter supports cameras outside of media only; remove it"
+            )
+        refuse_gradients(scene)
         with dr.suspend_grad():
             prepared = Prepared(scene, self.options)
             self.counts = prepared.counts
@@ -178,6 +191,9 @@ def shade(nested, mi_scene, paths, sampler, ray, n):
     hits for alpha: its say where no body is met, so that emitters can be hidden."""
     out, hit = dr.zeros(mi.Spectrum, n), paths.hit
     for i, legs in enumerate(paths.ends):
+        if len(legs) == 1:  # Dr.Jit takes the state of a loop over one lane for a constant
+            legs = legs.gather(mi.UInt32(0, 0))
+            legs.weight = legs.weight * 0.5
         leg = mi.RayDifferential3f(mi.Ray3f(legs.o, legs.d))
         leg.time = lanes.of(ray.time, legs.sample)
         leg.wavelengths = lanes.of(ray.wavelengths, legs.sample)
@@ -198,15 +214,18 @@ def seed_from(sampler):
 
 def _nested(props, hide_emitters):
     """The nested integrator, or the default one."""
-    objects = [props[name] for name in props.keys() if props.type(name) == mi.Properties.Type.Object]
-    nested = [x for x in objects if isinstance(x, mi.Integrator)]
+    nested = [props[name] for name in props.keys() if props.type(name) == mi.Properties.Type.Object]
+    for other in nested:
+        if not isinstance(other, mi.Integrator):
+            raise options.OptionError(f"refscatter: the nested {other.class_name()} is no integrator: remove it")
     if len(nested) > 1:
         raise options.OptionError("refscatter: more than one nested integrator is given: give one")
     if not nested:
         return mi.load_dict({"type": "path", "hide_emitters": hide_emitters})
     if not isinstance(nested[0], mi.SamplingIntegrator):
         raise options.OptionError("refscatter: the nested integrator does not work along rays: use path")
-    if {nested[0].class_name(), type(nested[0]).__name__} & set(NESTED_WITH_MEDIA):
+    names = f"{nested[0].class_name()} {type(nested[0]).__name__} {nested[0]}"
+    if any(name in names for name in NESTED_WITH_MEDIA):
         raise options.OptionError(
             "refscatter: the nested integrator samples media, which would count scattering twice: use path"
         )
