@@ -261,7 +261,7 @@ def _refuse_nested_parts(corners, part, name):
             points = points[((points >= low) & (points <= high)).all(axis=1)]
             for point in points[:: max(1, len(points) // 64)]:
                 if mesh_facts.encloses(corners[part == i], point):
-                    raise SceneError(f"{name} has parts inside each other or that overlap: refscatter supports bodies apart "
+                    raise SceneError(f"{name} has a part that is inside or overlaps another: refscatter supports bodies apart "
                                      "from each other only; separate them")  # fmt: skip
 
 
@@ -325,10 +325,10 @@ def _check_coefficients(name, medium, phase):
             low, high = limits[option]
             x = np.array(dr.ravel(value) if dr.is_array_v(value) else value, dtype=float)
             if not (np.isfinite(x).all() and (x >= low).all() and (x <= high).all()):
-                what = "the phase function's g" if option == "phase_function" else f"the medium's {option}"
-                raise SceneError(
-                    f"{name} has a value of {what} that is not finite or outside [{low}, {high}]: correct it"
-                )
+                what = "its phase function's g" if option == "phase_function" else f"its medium's {option}"
+                allowed = f"in [{low}, {high}]" if np.isfinite(high) else "not negative"
+                allowed = "in (-1, 1)" if low < 0 else allowed
+                raise SceneError(f"{name} has a bad value of {what}: it must be finite and {allowed}")
 
 
 def _read_lights(scene, bodies, scatters):

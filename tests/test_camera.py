@@ -228,7 +228,8 @@ def test_bodies_that_the_loader_merges(rgb, tmp_path, scale, normals):
     found = [segments(trace(x, o, d, 1)) for x in (apart, merged)]
     assert len(found[0].ray) > 200 and len(found[0].ray) == len(found[1].ray)
     for x, y in zip(*[(np.bincount(s.ray, s.weight[:, 0], 300), np.bincount(s.ray, s.t_max, 300)) for s in found]):
-        np.testing.assert_allclose(x, y, rtol=1e-4, atol=1e-5)
+        # Rays start off a surface by a share of the body's coordinates, and merged bodies reach further.
+        np.testing.assert_allclose(x, y, rtol=1e-3, atol=1e-5)
 
 
 def test_a_distant_object_does_not_matter(rgb, tmp_path):

@@ -238,7 +238,8 @@ def zeros(pairs, segments, beams, tri, lighting):
 @dataclass
 class Sums:
     """Per segment: the radiance ``value`` (without the segment's weight, sigma_s and the light's intensity),
-    and the numbers of pairs that contributed and that were not resolved (None where not asked for)."""
+    the number of pairs that contributed (parts of beams by their share), and of those that were not resolved (None where
+    not asked for)."""
 
     value: object
     contributions: object = None
@@ -324,16 +325,19 @@ def _accumulate(pairs, sums, segments, beams, records, lighting, accuracy, shado
             attenuation *= _sinhc(0.5 * change)
         total += dr.select(active & finite, value * attenuation, 0)
     is_open &= ~cut
-    _add(sums, pairs.segment, total, contributes & ~(is_open | cut), resolved)
+    _add(sums, pairs, total, contributes & ~(is_open | cut), resolved)
     dr.eval(is_open, cut, sums.value, sums.contributions, sums.unresolved)
     return is_open, cut
 
 
-def _add(sums, index, total, contributes, resolved):
-    dr.scatter_add(sums.value, total, index, contributes)
+def _add(sums, pairs, total, contributes, resolved):
+    dr.scatter_add(sums.value, total, pairs.segment, contributes)
     if sums.contributions is not None:
-        dr.scatter_add(sums.contributions, mi.Float(1), index, contributes)
-        dr.scatter_add(sums.unresolved, mi.Float(1), index, contributes & ~resolved)
+        # A part of a beam counts by its share of the curve: a line meets at most 2^(level + 1) of the 4^level parts.
+        share = mi.Float(1) if pairs.code is None else dr.rcp(mi.Float(2 << pairs.level))
+        share *= 1 if pairs.tau0 is None else pairs.tau1 - pairs.tau0
+        dr.scatter_add(sums.contributions, share, pairs.segment, contributes)
+        dr.scatter_add(sums.unresolved, mi.Float(1), pairs.segment, contributes & ~resolved)
 
 
 def _integrand(point, tri, lighting, segment):

@@ -10,12 +10,8 @@ from ..estimators import curve
 from ..scene import SceneError, read, refuse_gradients
 from ..wavefront import Segments
 
-NESTED_WITH_MEDIA = (
-    "RefscatterIntegrator",
-    "VolumetricPathIntegrator",
-    "VolpathMisIntegratorImpl",
-    "PRBVolpathIntegrator",
-)
+NESTED_WITH_MEDIA = ("Volumetric", "VolpathMis", "PRBVolpath", "Refscatter")
+"""Parts of the names of integrators that sample media, as they show in descriptions, too."""
 
 
 class RefscatterIntegrator(mi.SamplingIntegrator):
