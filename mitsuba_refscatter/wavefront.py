@@ -82,7 +82,8 @@ def scatter(segments, beams, records, lighting, accuracy, detail=False, progress
                                    f"{tolerances.CHUNK_PAIRS}; raise tolerances.CHUNK_PAIRS")  # fmt: skip
             chunk = max(1, min(size - 1, _fitting(size, found)))
             continue
-        chunk = min(tolerances.CHUNK_SEGMENTS, _fitting(size, found))
+        # Neighbouring segments are alike, distant ones are not: grow step by step.
+        chunk = min(tolerances.CHUNK_SEGMENTS, _fitting(size, found), 4 * size)
         counts.leaves += found
         if found > 0:
             zeros = light_beams.candidates(beams, segments, lane, leaf, found)
