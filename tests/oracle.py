@@ -1,6 +1,6 @@
 """Ground truth in float64 NumPy: single scattering inside refractive triangle meshes, point lights.
 
-From DESIGN.md sections 2 and 5 alone; shares no code with the package.  World space, one length
+From the formulas of the papers alone (README); shares no code with the package.  World space, one length
 unit; sigma_s, sigma_t in 1/length, intensity in W/sr, radiance in W/(m^2 sr).  C colour channels, a
 scalar counts as C = 1.  Directions are unit vectors.  eta = n_in / n_out; at 1 facet normals hold.
 All surfaces on P-L and P-V shadow.  Not modelled: nested bodies, lights inside, light-side bounces.
@@ -43,7 +43,7 @@ def phase(g, cosine):
     return (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
 
 
-# ---- The curve form (DESIGN section 2) ------------------------------------------------------
+# ---- The curve form (README, How it works) ------------------------------------------------------
 # Light refracted at (u,v), (...,3) and (...,1): w_l = omega_L, length = |N|, radicand = c_V^2.
 LightRay = namedtuple("LightRay", "point n omega w_l length d_l c_l radicand c_v")
 
@@ -360,7 +360,7 @@ def camera_radiance(bodies, lights, o, d, internal_bounces, subdivisions=8, opaq
     return total
 
 
-# ---- Closed forms (DESIGN section 5); all return (n,C) --------------------------------------
+# ---- Closed forms ; all return (n,C) --------------------------------------
 
 
 def straight_line_radiance(mesh, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max, steps=512):
