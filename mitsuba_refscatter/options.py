@@ -15,7 +15,7 @@ class Options:
         default="curve", metadata={"choices": ("curve",), "meaning": "how light is summed along a segment"}
     )
     culling: str = field(
-        default="beams", metadata={"choices": ("beams",), "meaning": "how triangles are found for a segment"}
+        default="beams", metadata={"choices": ("beams", "spindle"), "meaning": "how triangles are found for a segment"}
     )
     tolerance: float = field(
         default=0.01, metadata={"range": (0, 1), "meaning": "relative error of the image aimed at"}

@@ -17,6 +17,9 @@ CAMERA_OFFSET = 2e-6
 PARALLEL = 1e-6
 """sin^2 of the angle between light and camera ray below which they have no common point in float32."""
 
+COSINE = 1e-5
+"""Slack of the spindle test's cosines: their rounding in float32, several times over."""
+
 SLOPE = 0.25
 """Smallest |dg/dlambda| at a root relative to its value for a linear beam. Below, the curve turns back
 inside the triangle (a fold) and the linear beam is the better estimate; counted as unresolved."""

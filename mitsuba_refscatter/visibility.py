@@ -15,7 +15,7 @@ from .geometry import silhouette, triangle
 class Shadows:
     """The shadow tests of one light in one body.
 
-    ``lit(P, Ng, active)``: nothing between the light and P (body coordinates); ``inside(P, Ng, direction,
+    ``lit(P, Ng, L, active)``: nothing between the light point L and P (body coordinates); ``inside(P, Ng, direction,
     length, active)``: nothing between P and the point at ``length``. A test is None where nothing can be in
     the way: a convex body does not shadow itself.
     """
@@ -30,9 +30,9 @@ class Shadows:
         self.inside = None if body.convex and not guests else self._inside
         self.may_prove_inside = self.inside is not None and not guests
 
-    def _lit(self, P, Ng, active):
+    def _lit(self, P, Ng, L, active):
         start = P + self.offset * Ng
-        to_light = self.L - start
+        to_light = L - start
         distance = dr.norm(to_light)
         return self._free(start, to_light / distance, distance, active)
 
@@ -55,7 +55,7 @@ class Shadows:
         for shape in self.scene.others:
             uniform &= self._beside(corners, shape.bbox())
         tri = triangle.gather(self.scene.records, triangles)
-        visible = self.lit(tri.position(1 / 3, 1 / 3), tri.Ng, True)
+        visible = self.lit(tri.position(1 / 3, 1 / 3), tri.Ng, self.L, True)
         uniform = mi.Bool(uniform)
         kept = dr.compress(visible | ~uniform)
         return kept, dr.gather(mi.Bool, uniform, kept)
@@ -68,7 +68,7 @@ class Shadows:
             tri = triangle.gather(
                 self.scene.records, dr.gather(mi.UInt32, triangles, mi.UInt32(rest.astype(np.uint32)))
             )
-            relative = [p - self.L for p in (tri.P0, tri.P0 + tri.P_u, tri.P0 + tri.P_v)]
+            relative = [p - self.L for p in tri.corners()]
             skin = tolerances.SHADOW_OFFSET * self.body.extent
             uniform[rest] = ~silhouette.covered(relative, tri.Ng, edges - self.position, skin).numpy()
         return uniform

@@ -10,11 +10,9 @@ import drjit as dr
 import mitsuba as mi
 
 from . import lanes, tolerances
-from .culling import beam_tree
-from .culling import beams as light_beams
-from .culling.beams import Pairs
-from .estimators import curve
-from .geometry import bvh, triangle
+from .culling.pairs import Pairs, pairs_at
+from .estimators.lighting import Lighting, Sums
+from .geometry import bvh
 
 
 @dataclass
@@ -61,24 +59,26 @@ class Counts:
         self.leaves += other.leaves
 
 
-def scatter(segments, beams, records, lighting, accuracy, detail=False, progress=None):
-    """Single scattering along every segment by one light. Returns (``curve.Sums``, candidates, ``Counts``).
+def scatter(segments, culling, lighting, accuracy, estimator, detail=False, progress=None):
+    """Single scattering along every segment by one light. Returns (``Sums``, candidates, ``Counts``).
 
-    ``candidates``: pairs per segment, None unless ``detail``. ``progress(done, total)`` is called per chunk.
+    ``culling``: ``beams.Beams`` or ``spindle.Spindle``; ``estimator``: a module of ``estimators``. ``candidates``: pairs
+    per segment, None unless ``detail``. ``progress(done, total)`` is called per chunk.
     """
     n = len(segments)
-    sums = curve.Sums(dr.zeros(mi.Spectrum, n))
+    sums = Sums(dr.zeros(mi.Spectrum, n))
     candidates = None
     if detail:
         sums.contributions, sums.unresolved, candidates = (dr.zeros(mi.Float, n) for _ in range(3))
     counts = Counts(segments=n)
+    work = Work(sums, segments, culling, lighting, accuracy, estimator)
     chunk, start = tolerances.FIRST_CHUNK, 0
     while start < n:
         size = min(chunk, n - start)
-        lane, leaf, found = _traverse(segments, beams, start, size)
+        lane, leaf, found = work.traverse(start, size)
         if found > tolerances.CHUNK_PAIRS:
             if size == 1:
-                raise RuntimeError(f"refscatter: one camera segment meets {found} light beams' leaves, the buffer holds "
+                raise RuntimeError(f"refscatter: one camera segment meets {found} leaves of the culling's tree, the buffer holds "
                                    f"{tolerances.CHUNK_PAIRS}; raise tolerances.CHUNK_PAIRS")  # fmt: skip
             chunk = max(1, min(size - 1, _fitting(size, found)))
             continue
@@ -86,15 +86,9 @@ def scatter(segments, beams, records, lighting, accuracy, detail=False, progress
         chunk = min(tolerances.CHUNK_SEGMENTS, _fitting(size, found), 4 * size)
         counts.leaves += found
         if found > 0:
-            zeros = light_beams.candidates(beams, segments, lane, leaf, found)
-            if detail:
-                of = light_beams.pairs_at(lane, leaf, dr.arange(mi.UInt32, found * bvh.LEAF)).segment
-                dr.scatter_add(candidates, mi.Float(1), of, zeros.possible)
-            bent = zeros.nonlinearity > dr.opaque(mi.Float, accuracy.linear)
-            whole, parts = lanes.chosen(zeros.bracketed & ~bent, zeros.possible & bent)
-            work = Work(sums, segments, beams, records, lighting, accuracy)
-            work.solve(light_beams.pairs_at(lane, leaf, whole))
-            work.refine(light_beams.pairs_at(lane, leaf, parts))
+            whole, parts = work.filter(lane, leaf, found, candidates)
+            work.solve(whole)
+            work.refine(parts)
         start += size
         if progress is not None:
             progress(start, n)
@@ -103,14 +97,41 @@ def scatter(segments, beams, records, lighting, accuracy, detail=False, progress
 
 @dataclass
 class Work:
-    """Solving pairs of one chunk, and cutting beams into parts where they are too complicated for a segment."""
+    """The stages: finding pairs, solving them, and cutting beams into parts where they are too complicated for a
+    segment."""
 
-    sums: curve.Sums
+    sums: Sums
     segments: Segments
-    beams: light_beams.Beams
-    records: object
-    lighting: curve.Lighting
+    culling: object
+    lighting: Lighting
     accuracy: tolerances.Accuracy
+    estimator: object
+
+    def traverse(self, start, size):
+        """The (segment, leaf) pairs of ``size`` segments from ``start`` on, as ``bvh.traverse`` gives them."""
+        index = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, size)
+        hit = self.culling.node_test(self.segments.gather(index), self.lighting.at(index).light)
+        return bvh.traverse(self.culling.tree, index, hit, tolerances.CHUNK_PAIRS)
+
+    def filter(self, lane, leaf, found, candidates=None):
+        """Of the first ``found`` (segment, leaf) pairs: the (segment, beam) pairs that can be solved whole, and those
+        whose beams must be cut. Counts the pairs that may contribute in ``candidates``."""
+        pairs = pairs_at(lane, leaf, dr.arange(mi.UInt32, found * bvh.LEAF))
+        active, zeros, bent = self.classify(pairs)
+        if candidates is not None:
+            looked_at = zeros.possible if self.culling.by_zeros else active
+            dr.scatter_add(candidates, mi.Float(1), pairs.segment, looked_at)
+        whole, parts = lanes.chosen(zeros.bracketed & ~bent, zeros.possible & bent)
+        return pairs_at(lane, leaf, whole), pairs_at(lane, leaf, parts)
+
+    def classify(self, pairs):
+        """Which pairs exist, where they may contribute, and which of them are too complicated."""
+        segment, light = self.segments.gather(pairs.segment), self.lighting.at(pairs.segment).light
+        exists = self.culling.plausible(pairs, segment, light)
+        zeros = self.estimator.classify(self.culling.take(pairs, light, exists).piece, segment)
+        zeros.possible &= exists
+        zeros.bracketed &= exists
+        return exists, zeros, zeros.nonlinearity > dr.opaque(mi.Float, self.accuracy.linear)
 
     def solve(self, pairs):
         """Accumulates the pairs, and where the curve is too complicated the parts into which it is cut."""
@@ -120,8 +141,8 @@ class Work:
             if len(part) > tolerances.PIECES and part.tau0 is not None:
                 todo += part.halves()
             elif len(part) > 0:
-                rest = curve.accumulate(
-                    self.sums, part, self.segments, self.beams, self.records, self.lighting, self.accuracy
+                rest = self.estimator.accumulate(
+                    self.sums, part, self.segments, self.culling, self.lighting, self.accuracy
                 )
                 if len(rest) > 0:
                     todo.append(rest.cut(tolerances.CUT))
@@ -150,11 +171,8 @@ class Work:
         quarters = part.gather(i // 4)
         quarters.code |= (i & 3) << (2 * quarters.level)
         quarters.level += 1
-        tri = triangle.gather(self.records, dr.gather(mi.UInt32, self.beams.triangles, quarters.beam))
-        zeros = curve.zeros(quarters, self.segments, self.beams, tri, self.lighting)
-        bent = (zeros.nonlinearity > dr.opaque(mi.Float, self.accuracy.linear)) & (
-            quarters.level < tolerances.MAX_SUBDIVISION
-        )
+        _, zeros, bent = self.classify(quarters)
+        bent &= quarters.level < tolerances.MAX_SUBDIVISION
         solvable, go_on = zeros.bracketed & ~bent, zeros.possible & bent
         dr.eval(quarters.code, quarters.level, quarters.segment, quarters.beam, solvable, go_on)
         return quarters.gather(dr.compress(solvable)), quarters.gather(dr.compress(go_on))
@@ -163,9 +181,3 @@ class Work:
 def _fitting(size, found):
     """Segments whose pairs should fill 80 % of the buffer, judged by ``size`` that had ``found``."""
     return int(0.8 * size * tolerances.CHUNK_PAIRS / max(found, 1)) + 1
-
-
-def _traverse(segments, beams, start, size):
-    lanes = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, size)
-    hit = beam_tree.node_test(segments.gather(lanes))
-    return bvh.traverse(beams.tree, lanes, hit, tolerances.CHUNK_PAIRS)

@@ -14,7 +14,9 @@ from meshes import BoxTree, Mesh, dot, icosphere, make_patches, norm, take, tria
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from mitsuba_refscatter import tolerances, wavefront
-from mitsuba_refscatter.culling import beams as light_beams
+from mitsuba_refscatter.culling.pairs import pairs_at
+from mitsuba_refscatter.estimators.lighting import Sums
+from mitsuba_refscatter.geometry import bvh
 from mitsuba_refscatter.options import Options
 
 SIGMA = 0.5
@@ -170,49 +172,59 @@ def _brings(patch, uv, g, light, eta, o, d, t_max):
 class Culling:
     """What the package makes of a scene with one body and one light."""
 
-    def __init__(self, scene, tolerance=0.01):
+    def __init__(self, scene, **options):
         from mitsuba_refscatter.integrators.refscatter import Prepared  # made anew for each variant
 
-        self.prepared = Prepared(scene, Options(tolerance=tolerance))
+        self.prepared = Prepared(scene, Options(**options))
         self.body, light = self.prepared.scene.bodies[0], self.prepared.scene.lights[0]
-        self.lighting, self.beams = self.prepared.beams(self.body, light)
+        self.lighting, self.culling = self.prepared.lit(self.body, light)
 
     def segments(self, o, d, t_max):
         o, d = (np.asarray(x, np.float32).T for x in (o - self.body.centre, d))
         return wavefront.Segments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max.astype(np.float32)), mi.Spectrum(SIGMA))
 
+    def work(self, segments, **changes):
+        """The stages of the wavefront, with nothing summed yet."""
+        parts = {"sums": Sums(dr.zeros(mi.Spectrum, len(segments))), "segments": segments, "culling": self.culling,
+                 "lighting": self.lighting, "accuracy": self.prepared.accuracy,
+                 "estimator": self.prepared.estimator}  # fmt: skip
+        return wavefront.Work(**{**parts, **changes})
+
     def leaves(self, segments):
         """The (segment, leaf) pairs of the tree: two index arrays, of which the first ``found`` places count."""
-        lane, leaf, found = wavefront._traverse(segments, self.beams, 0, len(segments))
+        lane, leaf, found = self.work(segments).traverse(0, len(segments))
         assert found <= tolerances.CHUNK_PAIRS
         return lane, leaf, found
 
     def candidates(self, o, d, t_max):
-        """(segment, triangle) of every beam that is looked at."""
+        """(segment, triangle) of every pair that is looked at, and how many are candidates by the culling itself."""
         segments = self.segments(o, d, t_max)
+        work = self.work(segments)
         lane, leaf, found = self.leaves(segments)
         if found == 0:
-            return np.zeros(0, int), np.zeros(0, int)
-        zeros = light_beams.candidates(self.beams, segments, lane, leaf, found)
-        pairs = light_beams.pairs_at(lane, leaf, dr.compress(zeros.possible))
-        triangle = dr.gather(mi.UInt32, self.beams.triangles, pairs.beam) - self.body.first_record
-        return pairs.segment.numpy().astype(int), triangle.numpy().astype(int)
+            return np.zeros(0, int), np.zeros(0, int), 0
+        pairs = pairs_at(lane, leaf, dr.arange(mi.UInt32, found * bvh.LEAF))
+        exists, zeros, _ = work.classify(pairs)
+        looked_at = int(dr.count(zeros.possible if self.culling.by_zeros else exists)[0])
+        pairs = pairs.gather(dr.compress(zeros.possible))
+        triangle = self.culling.triangle_of(pairs) - self.body.first_record
+        return pairs.segment.numpy().astype(int), triangle.numpy().astype(int), looked_at
 
 
-def one_body(mesh, eta, light, folder, tolerance=0.01):
+def one_body(mesh, eta, light, folder, **options):
     shape = build.mesh_shape(mesh, folder / "mesh.ply", eta=eta)
-    return Culling(mi.load_dict({"type": "scene", "body": shape, "light": build.point_light(light)}), tolerance)
+    return Culling(mi.load_dict({"type": "scene", "body": shape, "light": build.point_light(light)}), **options)
 
 
 def lost_and_looked_at(mesh, eta, light, culling, o, d, t_max):
     """Share of the light from pairs that the culling drops, and candidates per contributing pair.
 
     Dropped on purpose is only what the light does not reach: a triangle in the shadow of others."""
-    segment, triangle = culling.candidates(o, d, t_max)
+    segment, triangle, looked_at = culling.candidates(o, d, t_max)
     ray, tri, value, uv = contributing(mesh, eta, light, o, d, t_max)
     pairs = len(mesh.faces) * ray + tri
     lost = ~np.isin(pairs, len(mesh.faces) * segment + triangle)
     point = oracle.light_ray(take(make_patches(mesh, eta), tri[lost]), uv[lost], light, eta).point
     seen = BoxTree([mesh]).clear(point, np.broadcast_to(light, point.shape), tri[lost])
     assume(len(pairs) > 0)
-    return value[lost][seen].sum() / value.sum(), len(segment) / len(np.unique(pairs))
+    return value[lost][seen].sum() / value.sum(), looked_at / len(np.unique(pairs))

@@ -37,7 +37,7 @@ def random_case(seed):
     return mesh, eta, light, float(tolerance), chords(mesh, rng, 80)
 
 
-def no_pair_is_lost(examples, folder):
+def no_pair_is_lost(examples, folder, culling):
     """The same examples at every run; prints how loose the culling is."""
     looked_at = []
 
@@ -47,21 +47,30 @@ def no_pair_is_lost(examples, folder):
     @given(st.integers(0, 2**32 - 1))
     def check(seed):
         mesh, eta, light, tolerance, segments = random_case(seed)
-        lost, ratio = lost_and_looked_at(mesh, eta, light, one_body(mesh, eta, light, folder, tolerance), *segments)
+        lost, ratio = lost_and_looked_at(
+            mesh, eta, light, one_body(mesh, eta, light, folder, tolerance=tolerance, culling=culling), *segments
+        )
         looked_at.append(ratio)
         assert lost < LOST
 
     check()
-    print(f"candidates per contributing pair: median {np.median(looked_at):.1f}, largest {max(looked_at):.1f}")
+    print(
+        f"{culling}: candidates per contributing pair: median {np.median(looked_at):.1f}, largest {max(looked_at):.1f}"
+    )
 
 
-def test_no_pair_is_lost(rgb, tmp_path):
-    no_pair_is_lost(30, tmp_path)
+CULLINGS = pytest.mark.parametrize("culling", ["beams", "spindle"])
+
+
+@CULLINGS
+def test_no_pair_is_lost(rgb, tmp_path, culling):
+    no_pair_is_lost(30, tmp_path, culling)
 
 
 @pytest.mark.slow
-def test_no_pair_is_lost_in_many_bodies(rgb, tmp_path):
-    no_pair_is_lost(500, tmp_path)
+@CULLINGS
+def test_no_pair_is_lost_in_many_bodies(rgb, tmp_path, culling):
+    no_pair_is_lost(500, tmp_path, culling)
 
 
 def test_beams_into_a_corner(rgb, tmp_path):
@@ -155,8 +164,8 @@ def test_beams_are_free_as_far_as_said(rgb, tmp_path, name, eta):
     mesh, proven = concave_bodies()[name][0], []
     for light in lights_around(mesh):
         culling = one_body(mesh, eta, light, tmp_path)
-        record = culling.beams.records.numpy().reshape(-1, beam.BEAM).astype(float)
-        triangle = culling.beams.triangles.numpy().astype(int) - culling.body.first_record
+        record = culling.culling.records.numpy().reshape(-1, beam.BEAM).astype(float)
+        triangle = culling.culling.triangles.numpy().astype(int) - culling.body.first_record
         uv = np.concatenate([INSIDE, np.eye(3)[:, :2]])
         index = np.repeat(np.arange(len(record)), len(uv))
         uv = record[index, 20:22] + record[index, 22:23] * np.tile(uv, (len(record), 1))
@@ -179,8 +188,8 @@ def test_beams_are_free_as_far_as_said(rgb, tmp_path, name, eta):
 def scattered(culling, o, d, t_max):
     """The sums along the segments, and after how many of them each chunk ended."""
     ends = []
-    sums, _, _ = wavefront.scatter(culling.segments(o, d, t_max), culling.beams, culling.prepared.scene.records,
-                                   culling.lighting, culling.prepared.accuracy,
+    sums, _, _ = wavefront.scatter(culling.segments(o, d, t_max), culling.culling, culling.lighting,
+                                   culling.prepared.accuracy, culling.prepared.estimator,
                                    progress=lambda done, total: ends.append(done))  # fmt: skip
     return np.array(sums.value).T, ends
 

@@ -47,11 +47,71 @@ def refracted(tri, u, v, L, eta):
     return P, omega
 
 
-def corners(numbers):
-    """Corner positions and directions of a gathered beam record."""
+@dataclass
+class Piece:
+    """A light beam or a part of one, and how its light bends.
+
+    Corner positions ``P`` and refracted directions ``omega`` (lists of three Vector3f); ``bend``: bound of how far
+    omega is from linear in between; ``twist``: the same for what is bilinear in P and omega; ``u0``, ``v0``, ``h``:
+    the corner and signed size of its triangle in (u, v).
+    """
+
+    P: list
+    omega: list
+    bend: object
+    twist: object
+    u0: object
+    v0: object
+    h: object
+
+    def uv(self):
+        """(u, v) of the corners."""
+        return [mi.Vector2f(self.u0 + self.h * u, self.v0 + self.h * v) for u, v in CORNERS]
+
+
+def refract(tri, light, u0, v0, h):
+    """The light beams ``light`` = (L, eta) makes of parts of triangles.
+
+    ``bend`` bounds how far omega is from linear, in any direction: a quadratic deviates by at most 4/3 of what it
+    does at the edges' middles; 2 leaves room for the cubic part. ``twist`` bounds the same for what is bilinear in
+    position and direction, as g is: 4/3 of |edge| |change| / 4.
+    """
+    P, omega = _corners(tri, light, u0, v0, h)
+    bend, twist = mi.Float(0), mi.Float(0)
+    for i, (u, v) in enumerate(MIDDLES):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        _, middle = refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light)
+        bend = dr.maximum(bend, 2 * dr.norm(middle - 0.5 * (omega[j] + omega[k])))
+        twist = dr.maximum(twist, dr.norm(P[j] - P[k]) * dr.norm(omega[j] - omega[k]) / 3)
+    return Piece(P, omega, bend, twist, u0, v0, h)
+
+
+def part(tri, light, whole, code, level):
+    """The part ``code`` (``sub_triangle``) of light beams: bend and twist fall by 4 per level."""
+    u, v, size = sub_triangle(code, level)
+    u0, v0, h = whole.u0 + whole.h * u, whole.v0 + whole.h * v, whole.h * size
+    smaller = dr.rcp(mi.Float(1 << (2 * level)))
+    return Piece(*_corners(tri, light, u0, v0, h), whole.bend * smaller, whole.twist * smaller, u0, v0, h)
+
+
+def _corners(tri, light, u0, v0, h):
+    pairs = [refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light) for u, v in CORNERS]
+    return [P for P, _ in pairs], [omega for _, omega in pairs]
+
+
+def numbers(piece, clear):
+    """The record of a beam."""
+    out = []
+    for p, w in zip(piece.P, piece.omega):
+        out += [p.x, p.y, p.z, w.x, w.y, w.z]
+    return out + [piece.bend, piece.twist, piece.u0, piece.v0, piece.h, clear]
+
+
+def unpack(numbers):
+    """``Piece`` of a gathered record."""
     P = [mi.Vector3f(numbers[6 * i : 6 * i + 3]) for i in range(3)]
     omega = [mi.Vector3f(numbers[6 * i + 3 : 6 * i + 6]) for i in range(3)]
-    return P, omega
+    return Piece(P, omega, *numbers[18:23])
 
 
 @dataclass
@@ -67,14 +127,14 @@ class Zeros:
     nonlinearity: object
 
 
-def classify(P, omega, bend, twist, segment):
-    """``Zeros`` of g for beams with these corners, whose bend and twist are as in the record."""
+def classify(piece, segment):
+    """``Zeros`` of g on beams for segments."""
     g, reach = [], mi.Float(0)
-    for p, w in zip(P, omega):
+    for p, w in zip(piece.P, piece.omega):
         across = dr.cross(p - segment.o, segment.d)
         g.append(dr.dot(w, across))
         reach = dr.maximum(reach, dr.norm(across))
-    bound = bend * reach + twist
+    bound = piece.bend * reach + piece.twist
     low, high = fold(dr.minimum, g), fold(dr.maximum, g)
     # A pair of which only an edge is touched, g = 0 at a corner, is bracketed on one side of it only.
     possible, bracketed = (low <= bound) & (high >= -bound), (low < 0) & (high >= 0)

@@ -105,7 +105,8 @@ def _leaf_bounds(records, count, depth, body):
     bounds = None
     for j in range(bvh.LEAF):
         x = triangle.gather_numbers(records, dr.minimum(first + j, last), beam.BEAM)
-        item = _beam_bounds(*beam.corners(x), x[18], body)
+        piece = beam.unpack(x)
+        item = _beam_bounds(piece.P, piece.omega, piece.bend, body)
         item.count = dr.select(first + j <= last, item.count, 0)
         bounds = item.fields() if bounds is None else merge(bounds, item.fields())
     return bounds
@@ -128,7 +129,8 @@ def _beam_bounds(P, omega, bend, body):
 
 
 def _hull(points, pad=0):
-    return beam.fold(dr.minimum, points) - pad, beam.fold(dr.maximum, points) + pad
+    low, high = bvh.box(points)
+    return low - pad, high + pad
 
 
 def _beam_box(P, omega, bend, body):

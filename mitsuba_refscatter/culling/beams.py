@@ -11,25 +11,53 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes, tolerances
+from .. import tolerances
 from ..geometry import bvh, triangle
 from . import beam as light_beam
 from . import beam_tree
+from .pairs import Taken
 
 
 @dataclass
 class Beams:
     """The light beams of one light in one body, and their tree.
 
-    ``records``: flat, ``beam.BEAM`` numbers each; ``triangles``: parent triangle of each beam; ``proven_lit``:
-    whether the whole beam is known to see the light.
+    ``surface``: the scene's triangle records; ``records``: flat, ``beam.BEAM`` numbers each; ``triangles``: parent
+    triangle of each beam; ``proven_lit``: whether the whole beam is known to see the light.
     """
 
+    surface: object
     records: object
     triangles: object
     proven_lit: object
     count: int
     tree: bvh.Tree
+
+    proves = True
+    """Whether light paths may be proven to be free (``Taken.clear``, ``proven_lit``)."""
+    by_zeros = True
+    """Whether the zeros of g on a light beam are part of the culling, or a step behind it."""
+
+    def node_test(self, segments, light):
+        """The conservative test of camera segments against a node of the tree, for ``bvh.traverse``."""
+        return beam_tree.node_test(segments)
+
+    def plausible(self, pairs, segment, light):
+        """Which places of the leaves hold a beam."""
+        return pairs.beam < dr.opaque(mi.UInt32, self.count)
+
+    def triangle_of(self, pairs, active=True):
+        """Indices of the pairs' triangles among the scene's records."""
+        return dr.gather(mi.UInt32, self.triangles, pairs.beam, active)
+
+    def take(self, pairs, light, active=True):
+        """``Taken``: triangles, light beams and proofs for pairs."""
+        x = triangle.gather_numbers(self.records, pairs.beam, light_beam.BEAM, active)
+        tri = triangle.gather(self.surface, self.triangle_of(pairs, active), active)
+        piece = light_beam.unpack(x)
+        if pairs.code is not None:
+            piece = light_beam.part(tri, light, piece, pairs.code, pairs.level)
+        return Taken(tri, piece, x[23], dr.gather(mi.Bool, self.proven_lit, pairs.beam, active))
 
 
 def _lit(tri, L):
@@ -37,8 +65,7 @@ def _lit(tri, L):
 
     The latter is quadratic in (u, v): the largest of its six Bernstein coefficients bounds it.
     """
-    a = [L - tri.position(u, v) for u, v in light_beam.CORNERS]
-    n = [tri.n0, tri.n0 + tri.n_u, tri.n0 + tri.n_v]
+    a, n = [L - p for p in tri.corners()], tri.corner_normals()
     top = dr.dot(n[0], a[0])
     for i in range(3):
         for j in range(i, 3):
@@ -98,9 +125,11 @@ def build(body, scene_records, L, bend, seen, clear):
     count = dr.width(index)
     records = dr.empty(mi.Float, count * light_beam.BEAM)
     tri = triangle.gather(scene_records, index)
-    triangle.scatter_numbers(records, _beam(tri, light, u0, v0, h, clear), dr.arange(mi.UInt32, count))
+    piece = light_beam.refract(tri, light, u0, v0, h)
+    free = mi.Float(0) if clear is None else clear(piece.P, piece.omega, piece.bend)
+    triangle.scatter_numbers(records, light_beam.numbers(piece, free), dr.arange(mi.UInt32, count))
     dr.eval(records, index, proven)
-    return Beams(records, index, proven, count, beam_tree.build(records, count, body))
+    return Beams(scene_records, records, index, proven, count, beam_tree.build(records, count, body))
 
 
 def _expand(level):
@@ -113,86 +142,3 @@ def _expand(level):
     code = np.arange(len(parent)) - np.repeat(np.cumsum(counts) - counts, counts)
     parent = mi.UInt32(parent.astype(np.uint32))
     return parent, mi.UInt32(code.astype(np.uint32)), dr.gather(mi.UInt32, level, parent)
-
-
-def _beam(tri, light, u0, v0, h, clear):
-    """The numbers of a beam's record.
-
-    ``bend`` bounds how far omega is from linear on the beam, in any direction: a quadratic deviates by at
-    most 4/3 of what it does at the edges' middles; 2 leaves room for the cubic part. ``twist`` bounds the
-    same for what is bilinear in position and direction, as g and m are: 4/3 of |edge| |change| / 4.
-    """
-    P, omega = zip(
-        *(light_beam.refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light) for u, v in light_beam.CORNERS)
-    )
-    bend, twist = mi.Float(0), mi.Float(0)
-    for i, (u, v) in enumerate(light_beam.MIDDLES):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        _, middle = light_beam.refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light)
-        bend = dr.maximum(bend, 2 * dr.norm(middle - 0.5 * (omega[j] + omega[k])))
-        twist = dr.maximum(twist, dr.norm(P[j] - P[k]) * dr.norm(omega[j] - omega[k]) / 3)
-    numbers = []
-    for p, w in zip(P, omega):
-        numbers += [p.x, p.y, p.z, w.x, w.y, w.z]
-    free = mi.Float(0) if clear is None else clear(P, omega, bend)
-    return numbers + [bend, twist, u0, v0, h, free]
-
-
-@dataclass
-class Pairs:
-    """(segment, beam) pairs as UInt32 arrays. Pairs may be of a part of a beam only: the sub-triangle ``code`` of
-    ``level`` (``beam.sub_triangle``; None where the whole beam is meant); and of a part tau0 < tau < tau1 of
-    the curve in it only (Float; None where all is meant)."""
-
-    segment: object
-    beam: object
-    code: object = None
-    level: object = None
-    tau0: object = None
-    tau1: object = None
-
-    def gather(self, index):
-        """The pairs at ``index``."""
-        return Pairs(*(None if x is None else lanes.gather(x, index) for x in self.__dict__.values()))
-
-    def halves(self):
-        """The pairs as two lists."""
-        n = len(self) // 2
-        return [self.gather(dr.arange(mi.UInt32, n)), self.gather(n + dr.arange(mi.UInt32, len(self) - n))]
-
-    def cut(self, n):
-        """Each part of the curve in ``n`` shorter ones."""
-        i = dr.arange(mi.UInt32, n * len(self))
-        parts = self.gather(i // n)
-        if parts.tau0 is None:
-            parts.tau0, parts.tau1 = mi.Float(0), mi.Float(1)
-        step = (parts.tau1 - parts.tau0) / n
-        parts.tau0 = parts.tau0 + mi.Float(i % n) * step
-        parts.tau1 = parts.tau0 + step
-        return parts
-
-    def __len__(self):
-        return dr.width(self.segment)
-
-
-def pairs_at(lane, leaf, index):
-    """The pairs numbered ``index``: beam ``index % LEAF`` of the (segment, leaf) pair ``index // LEAF``."""
-    if dr.width(index) == 0:
-        return Pairs(index, index)
-    place = index // bvh.LEAF
-    return Pairs(lanes.gather(lane, place), lanes.gather(leaf, place) * bvh.LEAF + (index & (bvh.LEAF - 1)))
-
-
-def candidates(beams, segments, lane, leaf, count):
-    """Which (segment, beam) pairs of the first ``count`` (segment, leaf) pairs may have a zero of g.
-
-    Returns ``beam.Zeros`` for each of ``LEAF * count`` pairs, numbered as in ``pairs_at``.
-    """
-    pairs = pairs_at(lane, leaf, dr.arange(mi.UInt32, count * bvh.LEAF))
-    active = pairs.beam < dr.opaque(mi.UInt32, beams.count)
-    x = triangle.gather_numbers(beams.records, pairs.beam, light_beam.BEAM, active)
-    P, omega = light_beam.corners(x)
-    zeros = light_beam.classify(P, omega, x[18], x[19], segments.gather(pairs.segment))
-    zeros.possible &= active
-    zeros.bracketed &= active
-    return zeros

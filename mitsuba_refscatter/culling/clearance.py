@@ -8,39 +8,19 @@ can touch such a triangle.
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from ..geometry import bvh, triangle
+from ..geometry import bvh
+from ..geometry.surface import Surface
 
 NODE = 12
 """Numbers per node: centre and radius of a sphere, middle and half width of the normals' box, 2 pad."""
 
 
-class Surface:
-    """The tree over the triangles of a body; independent of the light."""
+class Clearance:
+    """Of a body; independent of the light."""
 
     def __init__(self, records, first_record, corners):
-        order = bvh.median_order(corners.mean(axis=1)) + first_record
-        self.records, self.count = records, len(order)
-        self.order = mi.UInt32(order.astype(np.uint32))
-        depth = bvh.depth_for(self.count)
-        self.tree = bvh.fold(self._leaves(depth), depth, _merge, _pack, NODE)
-
-    def _member(self, leaf, j, active=True):
-        place = dr.minimum(leaf * bvh.LEAF + j, dr.opaque(mi.UInt32, self.count - 1))
-        return triangle.gather(self.records, dr.gather(mi.UInt32, self.order, place, active), active)
-
-    def _leaves(self, depth):
-        """Bounds (box and normals) of the leaves; places behind the end repeat the last triangle."""
-        leaf = dr.arange(mi.UInt32, 1 << depth)
-        bounds = None
-        for j in range(bvh.LEAF):
-            tri = self._member(leaf, j)
-            a, b, c = tri.P0, tri.P0 + tri.P_u, tri.P0 + tri.P_v
-            low, high = dr.minimum(a, dr.minimum(b, c)), dr.maximum(a, dr.maximum(b, c))
-            item = (low, high, tri.Ng, tri.Ng)
-            bounds = item if bounds is None else _merge(bounds, item)
-        return tuple(bounds)
+        self.surface = Surface(records, first_record, corners, lambda tri: [tri.Ng], _pack, NODE)
 
     def clear(self, P, omega, bend):
         """Length to which beams with corners ``P``, ``omega`` (lists of three Vector3f) are free.
@@ -64,12 +44,12 @@ class Surface:
             return enter, best
 
         width = dr.width(P[0].x)
-        best = bvh.walk(self.tree, width, visit, dr.full(mi.Float, 1e30, width))
+        best = bvh.walk(self.surface.tree, width, visit, dr.full(mi.Float, 1e30, width))
         return dr.select(wide, 0, best)
 
     def _touch(self, leaf, j, active, P, omega, bend, axis_P, axis, start, spread):
         """Smallest distance at which the beams can leave through the j-th triangle of a leaf, or 1e30."""
-        tri = self._member(leaf, j, active)
+        _, tri = self.surface.member(leaf, j, active)
         middle = tri.P0 + (tri.P_u + tri.P_v) / 3
         to = [tri.P0 - middle, tri.P0 + tri.P_u - middle, tri.P0 + tri.P_v - middle]
         radius = dr.maximum(dr.norm(to[0]), dr.maximum(dr.norm(to[1]), dr.norm(to[2])))
@@ -96,10 +76,6 @@ def _first_touch(to_centre, radius, axis, start, spread):
     across2 = dr.squared_norm(to_centre) - dr.square(along)
     room = dr.square(reach) - across2
     return dr.maximum(along - dr.safe_sqrt(room), 0), (room >= 0) & (last >= 0)
-
-
-def _merge(a, b):
-    return tuple(dr.minimum(x, y) if i % 2 == 0 else dr.maximum(x, y) for i, (x, y) in enumerate(zip(a, b)))
 
 
 def _pack(bounds):

@@ -24,25 +24,7 @@ import mitsuba as mi
 
 from .. import optics, tolerances
 from ..culling import beam as light_beam
-from ..geometry import triangle
 from ..geometry.interval import positive_part
-
-
-@dataclass
-class Lighting:
-    """What the estimator knows of light and body besides the beams.
-
-    ``L``: position of the light; ``eta``; ``total_reflection``: whether eta < 1; ``g``: asymmetry of
-    Henyey-Greenstein or None for isotropic; ``lit(P, Ng, active)``, ``inside(P, Ng, direction, length, active)``: visibility tests or None
-    where nothing can be in the way.
-    """
-
-    L: object
-    eta: object
-    total_reflection: bool
-    g: object
-    lit: object
-    inside: object
 
 
 @dataclass
@@ -117,40 +99,6 @@ class _Interval:
         return value + (tau - tau0) * slope
 
 
-@dataclass
-class _Piece:
-    """Beams or parts of them: corners, bounds of non-linearity as in a beam's record, and place in the triangle."""
-
-    P: list
-    omega: list
-    bend: object
-    twist: object
-    u0: object
-    v0: object
-    h: object
-
-    def uv(self):
-        return [mi.Vector2f(self.u0 + self.h * u, self.v0 + self.h * v) for u, v in light_beam.CORNERS]
-
-    def zeros(self, segment):
-        """``beam.Zeros`` of g for segments."""
-        return light_beam.classify(self.P, self.omega, self.bend, self.twist, segment)
-
-
-def _piece(x, pairs, tri, lighting):
-    """The beams with the records ``x``, or the parts of them that are meant: bend and twist fall by 4 per level."""
-    bend, twist, u0, v0, h = x[18:23]
-    if pairs.code is None:
-        return _Piece(*light_beam.corners(x), bend, twist, u0, v0, h)
-    u, v, size = light_beam.sub_triangle(pairs.code, pairs.level)
-    u0, v0, h = u0 + h * u, v0 + h * v, h * size
-    P, omega = zip(
-        *(light_beam.refracted(tri, u0 + h * u, v0 + h * v, lighting.L, lighting.eta) for u, v in light_beam.CORNERS)
-    )
-    smaller = dr.rcp(mi.Float(1 << (2 * pairs.level)))
-    return _Piece(P, omega, bend * smaller, twist * smaller, u0, v0, h)
-
-
 def _chord(piece, tri, lighting, segment):
     """The chord of beams, and the limits (``_limits``) at its two ends, interpolated from the corners.
 
@@ -158,7 +106,7 @@ def _chord(piece, tri, lighting, segment):
     where g changes less along an edge at A than it can deviate from linear, as where the curve runs along that
     edge, do they start from the corner where |g| is largest.
     """
-    zeros = piece.zeros(segment)
+    zeros = classify(piece, segment)
     g = zeros.g
     up = [value >= 0 for value in g]
     lone_1, lone_2 = (up[0] == up[2]) & (up[1] != up[0]), (up[0] == up[1]) & (up[2] != up[0])
@@ -229,45 +177,27 @@ def _inside_cosine2(tri, lighting, uv):
     return 1 - (1 - dr.square(c_L)) / dr.square(lighting.eta)
 
 
-def zeros(pairs, segments, beams, tri, lighting):
-    """``beam.Zeros`` of parts of beams (``pairs`` with codes)."""
-    x = triangle.gather_numbers(beams.records, pairs.beam, light_beam.BEAM)
-    return _piece(x, pairs, tri, lighting).zeros(segments.gather(pairs.segment))
+classify = light_beam.classify
+"""Where a pair may contribute: the zeros of g."""
 
 
-@dataclass
-class Sums:
-    """Per segment: the radiance ``value`` (without the segment's weight, sigma_s and the light's intensity),
-    the number of pairs that contributed (parts of beams by their share), and of those that were not resolved (None where
-    not asked for)."""
-
-    value: object
-    contributions: object = None
-    unresolved: object = None
-
-
-def accumulate(sums, pairs, segments, beams, records, lighting, accuracy):
-    """Adds what the beams bring to the segments of ``pairs`` (``beams.Pairs``) to ``sums``.
+def accumulate(sums, pairs, segments, culling, lighting, accuracy):
+    """Adds what the light beams of ``pairs`` bring to their segments to ``sums``.
 
     First the pairs whose light path is proven to be free, without any shadow ray; then the others. Returns the
-    pairs that were left out since their beams must be cut first.
+    pairs that were left out since their curves must be cut first.
     """
-    arguments = (sums, segments, beams, records, lighting, accuracy)
+    arguments = (sums, segments, culling, lighting, accuracy)
 
-    def proof(point, s, tri, clear, proven_lit, active):
-        free = (s < clear if lighting.inside is not None else True) & proven_lit
+    def proof(lighting, point, tri, s, taken, active):
+        free = (s < taken.clear if lighting.inside is not None else True) & taken.proven_lit
         return free, ~free
 
-    def rays(point, s, tri, clear, proven_lit, active):
-        if lighting.inside is not None:
-            free = s < clear
-            active = active & (free | lighting.inside(point.P, tri.Ng, point.omega, s, active & ~free))
-        if lighting.lit is not None:
-            active = active & (proven_lit | lighting.lit(point.P, tri.Ng, active & ~proven_lit))
-        return active, False
+    def rays(lighting, point, tri, s, taken, active):
+        return lighting.visible(point.P, tri.Ng, point.omega, s, taken, active), False
 
-    if lighting.lit is None and lighting.inside is None:
-        return pairs.gather(dr.compress(_accumulate(pairs, *arguments, lambda *_: (True, False))[1]))
+    if lighting.shadowless or not culling.proves:
+        return pairs.gather(dr.compress(_accumulate(pairs, *arguments, rays)[1]))
     is_open, cut = _accumulate(pairs, *arguments, proof)
     open_pairs = dr.compress(is_open)
     if dr.width(open_pairs) > 0:
@@ -287,15 +217,14 @@ def _interval(pairs, chord, ends, tri, lighting, segment, newton):
     return _clip(list(zip(*limits)), pairs.tau0, pairs.tau1)
 
 
-def _accumulate(pairs, sums, segments, beams, records, lighting, accuracy, shadow):
-    """One kernel of ``accumulate``. ``shadow(point, s, tri, clear, proven_lit, active) -> (free, open)``; a pair with
+def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
+    """One kernel of ``accumulate``. ``shadow(lighting, point, tri, s, taken, active) -> (free, open)``; a pair with
     a point that is open is left out, and so is one along which the optical depth changes too much, or that ends
     inside the beam at a place that is not known well enough. Returns which pairs are open, and which must be cut."""
-    segment = segments.gather(pairs.segment)
-    x = triangle.gather_numbers(beams.records, pairs.beam, light_beam.BEAM)
-    tri = triangle.gather(records, dr.gather(mi.UInt32, beams.triangles, pairs.beam))
-    proven_lit = dr.gather(mi.Bool, beams.proven_lit, pairs.beam)
-    chord, ends = _chord(_piece(x, pairs, tri, lighting), tri, lighting, segment)
+    segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
+    taken = culling.take(pairs, lighting.light)
+    tri = taken.tri
+    chord, ends = _chord(taken.piece, tri, lighting, segment)
     interval = _interval(pairs, chord, ends, tri, lighting, segment, accuracy.newton)
     sigma_t = segments.sigma_t_of(pairs.segment)
     width = dr.maximum(interval.end - interval.start, 0)
@@ -313,7 +242,7 @@ def _accumulate(pairs, sums, segments, beams, records, lighting, accuracy, shado
         active = chord.active & ~cut & (width > 0)
         for limit in _limits(point, t, s, tri, segment, lighting):
             active &= limit > 0
-        free, undecided = shadow(point, s, tri, x[23], proven_lit, active)
+        free, undecided = shadow(lighting, point, tri, s, taken, active)
         is_open |= active & undecided
         active &= free
         value = weight * scale * inverse_slope * _integrand(point, tri, lighting, segment)
@@ -325,25 +254,15 @@ def _accumulate(pairs, sums, segments, beams, records, lighting, accuracy, shado
             attenuation *= _sinhc(0.5 * change)
         total += dr.select(active & finite, value * attenuation, 0)
     is_open &= ~cut
-    _add(sums, pairs, total, contributes & ~(is_open | cut), resolved)
-    dr.eval(is_open, cut, sums.value, sums.contributions, sums.unresolved)
+    sums.add(pairs, total, contributes & ~(is_open | cut), resolved)
+    sums.eval(is_open, cut)
     return is_open, cut
-
-
-def _add(sums, pairs, total, contributes, resolved):
-    dr.scatter_add(sums.value, total, pairs.segment, contributes)
-    if sums.contributions is not None:
-        # A part of a beam counts by its share of the curve: a line meets at most 2^(level + 1) of the 4^level parts.
-        share = mi.Float(1) if pairs.code is None else dr.rcp(mi.Float(2 << pairs.level))
-        share *= 1 if pairs.tau0 is None else pairs.tau1 - pairs.tau0
-        dr.scatter_add(sums.contributions, share, pairs.segment, contributes)
-        dr.scatter_add(sums.unresolved, mi.Float(1), pairs.segment, contributes & ~resolved)
 
 
 def _integrand(point, tri, lighting, segment):
     """What stands before the attenuation, per area in (u, v) and divided by A2: T |omega . Ng| p / d_L^2."""
     measure = optics.transmission(point.c_L, point.c_V, lighting.eta) * dr.abs(dr.dot(point.omega, tri.Ng))
-    return measure * _phase(lighting, -dr.dot(point.omega, segment.d)) / dr.square(point.d_L)
+    return measure * lighting.phase(-dr.dot(point.omega, segment.d)) / dr.square(point.d_L)
 
 
 def _sinhc(x):
@@ -370,7 +289,3 @@ def _solve(chord, D, tri, lighting, segment, newton):
     linear = dr.maximum(dr.abs(chord.g_M), 1e-30)
     solved = (steepness > tolerances.SLOPE * linear) & (lam < tolerances.OVERSHOOT)
     return point, dr.select(solved, lam / dr.select(solved, steepness, 1), dr.rcp(linear)), solved
-
-
-def _phase(lighting, cosine):
-    return optics.isotropic() if lighting.g is None else optics.henyey_greenstein(cosine, lighting.g)

@@ -56,6 +56,14 @@ def median_order(points):
     return order[order < n]
 
 
+def box(points):
+    """Smallest and largest coordinates of a list of points."""
+    low = high = points[0]
+    for p in points[1:]:
+        low, high = dr.minimum(low, p), dr.maximum(high, p)
+    return low, high
+
+
 def fold(leaf_bounds, depth, merge, pack, record):
     """Builds the tree from the bounds of its leaves (a tuple of Dr.Jit arrays of width 2^depth).
 

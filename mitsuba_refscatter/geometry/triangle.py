@@ -28,6 +28,14 @@ class Triangle:
     def position(self, u, v):
         return dr.fma(self.P_v, v, dr.fma(self.P_u, u, self.P0))
 
+    def corners(self):
+        """Positions of the corners."""
+        return [self.P0, self.P0 + self.P_u, self.P0 + self.P_v]
+
+    def corner_normals(self):
+        """Unit normals at the corners."""
+        return [self.n0, self.n0 + self.n_u, self.n0 + self.n_v]
+
     def normal(self, u, v):
         """Unit interpolated normal."""
         return dr.normalize(dr.fma(self.n_v, v, dr.fma(self.n_u, u, self.n0)))

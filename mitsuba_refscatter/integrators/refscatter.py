@@ -5,13 +5,18 @@ import mitsuba as mi
 
 from .. import camera, film, lanes, options, platform, tolerances, visibility, wavefront
 from ..culling import beams as light_beams
-from ..culling import clearance
+from ..culling.clearance import Clearance
+from ..culling.spindle import Spindle
 from ..estimators import curve
+from ..estimators.lighting import Lighting
 from ..scene import SceneError, read, refuse_gradients
 from ..wavefront import Segments
 
 NESTED_WITH_MEDIA = ("Volumetric", "VolpathMis", "PRBVolpath", "Refscatter")
 """Parts of the names of integrators that sample media, as they show in descriptions, too."""
+
+
+ESTIMATORS = {"curve": curve}
 
 
 class RefscatterIntegrator(mi.SamplingIntegrator):
@@ -114,36 +119,41 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
 
 
 class Prepared:
-    """What one render needs to know of a scene, read once: records, accuracy, light beams."""
+    """What one render needs to know of a scene, read once: records, accuracy, estimator, culling."""
 
     def __init__(self, scene, opt):
         self.scene = read(scene)
         self.accuracy = tolerances.accuracy(opt.tolerance)
+        self.estimator, self.culling = ESTIMATORS[opt.estimator], opt.culling
         self.counts = wavefront.Counts()
-        self._surfaces, self._beams = {}, {}
+        self._lights, self._clearances, self._spindles = {}, {}, {}
 
-    def beams(self, body, light):
-        """``(lighting, beams)`` of a light in a body, made at first use; beams are None if none is lit."""
+    def lit(self, body, light):
+        """``(lighting, culling)`` of a light in a body, made at first use; the culling is None if nothing is lit."""
         key = (body.index, light.index)
-        if key not in self._beams:
+        if key not in self._lights:
             L = dr.opaque(mi.Point3f, [float(x) for x in light.position - body.centre])
             shadows = visibility.Shadows(self.scene, body, light.position, L)
-            lighting = curve.Lighting(
-                L, dr.opaque(mi.Float, body.eta), body.eta < 1, body.g, shadows.lit, shadows.inside
-            )
-            clear = self._surface(body).clear if shadows.may_prove_inside else None
-            self._beams[key] = (
-                lighting,
-                light_beams.build(body, self.scene.records, L, self.accuracy.bend, shadows.seen, clear),
-            )
-        return self._beams[key]
+            lighting = Lighting(L, dr.opaque(mi.Float, body.eta), body.eta < 1, body.g, shadows.lit, shadows.inside)
+            self._lights[key] = lighting, self._culling(body, L, shadows)
+        return self._lights[key]
 
-    def _surface(self, body):
-        if body.index not in self._surfaces:
-            self._surfaces[body.index] = clearance.Surface(
-                self.scene.records, body.first_record, body.corners - body.centre
-            )
-        return self._surfaces[body.index]
+    def _culling(self, body, L, shadows):
+        records = self.scene.records
+        if self.culling == "spindle":
+            return _once(self._spindles, body.index, lambda: Spindle(body, records))
+        clear = None
+        if shadows.may_prove_inside:
+            corners = body.corners - body.centre
+            clear = _once(self._clearances, body.index, lambda: Clearance(records, body.first_record, corners)).clear
+        return light_beams.build(body, records, L, self.accuracy.bend, shadows.seen, clear)
+
+
+def _once(known, key, make):
+    """``known[key]``, made at first use."""
+    if key not in known:
+        known[key] = make()
+    return known[key]
 
 
 class Single:
@@ -160,8 +170,8 @@ def scatter(prepared, paths, ray, n, detail, progress):
     scene, single = prepared.scene, Single(n, detail)
     work = [(body, light) for body in scene.bodies for light in scene.lights if paths.segments[body.index]]
     for i, (body, light) in enumerate(work):
-        lighting, beams = prepared.beams(body, light)
-        if beams is None:
+        lighting, culling = prepared.lit(body, light)
+        if culling is None:
             continue
         o, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[body.index]))
         wavelengths = lanes.of(ray.wavelengths, sample)
@@ -169,7 +179,7 @@ def scatter(prepared, paths, ray, n, detail, progress):
         segments = Segments(o - mi.Point3f(dr.opaque(mi.Point3f, body.centre)), d, t_max, sigma_t)
         report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
         sums, candidates, counts = wavefront.scatter(
-            segments, beams, scene.records, lighting, prepared.accuracy, detail, report
+            segments, culling, lighting, prepared.accuracy, prepared.estimator, detail, report
         )
         prepared.counts.add(counts)
         factor = weight * sigma_s * light.intensity(wavelengths)

@@ -1,0 +1,78 @@
+"""Pairs of a camera segment and a light beam: what culling hands to an estimator."""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import lanes
+from ..geometry import bvh
+
+
+@dataclass
+class Pairs:
+    """(segment, beam) pairs as UInt32 arrays. Pairs may be of a part of a beam only: the sub-triangle ``code`` of
+    ``level`` (``beam.sub_triangle``; None where the whole beam is meant); and of a part tau0 < tau < tau1 of
+    the curve in it only (Float; None where all is meant)."""
+
+    segment: object
+    beam: object
+    code: object = None
+    level: object = None
+    tau0: object = None
+    tau1: object = None
+
+    def gather(self, index):
+        """The pairs at ``index``."""
+        return Pairs(*(None if x is None else lanes.gather(x, index) for x in self.__dict__.values()))
+
+    def halves(self):
+        """The pairs as two lists."""
+        n = len(self) // 2
+        return [self.gather(dr.arange(mi.UInt32, n)), self.gather(n + dr.arange(mi.UInt32, len(self) - n))]
+
+    def cut(self, n):
+        """Each part of the curve in ``n`` shorter ones."""
+        i = dr.arange(mi.UInt32, n * len(self))
+        parts = self.gather(i // n)
+        if parts.tau0 is None:
+            parts.tau0, parts.tau1 = mi.Float(0), mi.Float(1)
+        step = (parts.tau1 - parts.tau0) / n
+        parts.tau0 = parts.tau0 + mi.Float(i % n) * step
+        parts.tau1 = parts.tau0 + step
+        return parts
+
+    def share(self):
+        """How much of a pair each part counts for: a line meets at most 2^(level + 1) of the 4^level parts."""
+        share = mi.Float(1) if self.code is None else dr.rcp(mi.Float(2 << self.level))
+        return share if self.tau0 is None else share * (self.tau1 - self.tau0)
+
+    def __len__(self):
+        return dr.width(self.segment)
+
+
+def pairs_at(lane, leaf, index):
+    """The pairs numbered ``index``: beam ``index % LEAF`` of the (segment, leaf) pair ``index // LEAF``."""
+    if dr.width(index) == 0:
+        return Pairs(index, index)
+    place = index // bvh.LEAF
+    return Pairs(lanes.gather(lane, place), lanes.gather(leaf, place) * bvh.LEAF + (index & (bvh.LEAF - 1)))
+
+
+@dataclass
+class Taken:
+    """What culling knows of pairs: triangle, light beam (``beam.Piece``), length to which the beam is proven to be
+    free inside the body, and whether all of it is proven to be lit."""
+
+    tri: object
+    piece: object
+    clear: object
+    proven_lit: object
+
+
+def pairs_at(lane, leaf, index):
+    """The pairs numbered ``index``: item ``index % LEAF`` of the (segment, leaf) pair ``index // LEAF``."""
+    if dr.width(index) == 0:
+        return Pairs(index, index)
+    place = index // bvh.LEAF
+    return Pairs(lanes.gather(lane, place), lanes.gather(leaf, place) * bvh.LEAF + (index & (bvh.LEAF - 1)))

@@ -1,0 +1,45 @@
+"""A tree over the triangles of a surface, whose nodes bound positions and normals."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from . import bvh, triangle
+
+
+class Surface:
+    """The tree over the triangles ``first_record ...`` of ``records``, whose centres decide their order.
+
+    ``corners``: float64 (F, 3, 3); ``normals(tri)``: list of the normals to bound; ``pack(bounds)``: the ``width``
+    numbers of a node with ``bounds`` = (low, high, n_low, n_high), boxes of positions and normals.
+    """
+
+    def __init__(self, records, first_record, corners, normals, pack, width):
+        order = bvh.median_order(corners.mean(axis=1)) + first_record
+        self.records, self.count = records, len(order)
+        self.order = mi.UInt32(order.astype(np.uint32))
+        depth = bvh.depth_for(self.count)
+        self.tree = bvh.fold(self._leaves(depth, normals), depth, _merge, pack, width)
+
+    def member(self, leaf, j, active=True):
+        """Index and record of the ``j``-th triangle in leaves; places behind the end repeat the last one."""
+        return self.at(leaf * bvh.LEAF + j, active)
+
+    def at(self, place, active=True):
+        """Index and record of the triangles at places of the tree's order."""
+        place = dr.minimum(place, dr.opaque(mi.UInt32, self.count - 1))
+        index = dr.gather(mi.UInt32, self.order, place, active)
+        return index, triangle.gather(self.records, index, active)
+
+    def _leaves(self, depth, normals):
+        leaf = dr.arange(mi.UInt32, 1 << depth)
+        bounds = None
+        for j in range(bvh.LEAF):
+            _, tri = self.member(leaf, j)
+            item = (*bvh.box(tri.corners()), *bvh.box(normals(tri)))
+            bounds = item if bounds is None else _merge(bounds, item)
+        return tuple(bounds)
+
+
+def _merge(a, b):
+    return tuple(dr.minimum(x, y) if i % 2 == 0 else dr.maximum(x, y) for i, (x, y) in enumerate(zip(a, b)))
