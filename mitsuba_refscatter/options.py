@@ -12,13 +12,21 @@ class Options:
     """Properties of ``<integrator type="refscatter">``."""
 
     estimator: str = field(
-        default="curve", metadata={"choices": ("curve",), "meaning": "how light is summed along a segment"}
+        default="curve",
+        metadata={"choices": ("curve", "interval", "point"), "meaning": "how light is summed along a segment"},
     )
     culling: str = field(
         default="beams", metadata={"choices": ("beams", "spindle"), "meaning": "how triangles are found for a segment"}
     )
     tolerance: float = field(
         default=0.01, metadata={"range": (0, 1), "meaning": "relative error of the image aimed at"}
+    )
+    samples: int = field(
+        default=0,
+        metadata={
+            "range": (0, 1 << 20),
+            "meaning": "samples per interval (interval) or camera segment (point); 0: as many as the tolerance asks for",
+        },
     )
     internal_bounces: int = field(
         default=4, metadata={"range": (0, 64), "meaning": "internal reflections of the camera ray"}
@@ -61,6 +69,8 @@ def read(props):
             )
         values[option.name] = value
     options = Options(**values)
+    if options.samples and options.estimator == "curve":
+        raise OptionError('refscatter: property "samples" has no meaning for the estimator curve: remove it')
     for name in aov_list(options):
         if name not in AOVS:
             raise OptionError(f'refscatter: property "aovs" names {name!r}: known are {", ".join(AOVS)}')

@@ -51,6 +51,34 @@ TURN = 0.3
 """Largest difference between the refracted directions at the corners of a beam, in radians: the cosines and the
 transmittance are then good to a few 1e-3."""
 
+NEAREST = 1e-3
+"""Smallest distance of the light from a camera segment's line, relative to its length, that sampling assumes."""
+
+ROOT_STEP = 1e-3
+"""Step of Newton's method, relative to the light beam's size, that is the last one: behind it the error is its square."""
+
+ROOT_LONGEST = 1.0
+"""Longest step of Newton's method, relative to the light beam's size."""
+
+ROOT_ITERATIONS = 16
+"""Most evaluations of the constraint for one root; 2 to 3 are usual."""
+
+ROOT_PARALLEL = 1e-8
+"""sin^2 of the angle between the Jacobian's columns below which it is singular: its rounding in float32."""
+
+ROOT_ROUNDING = 1e-6
+"""Size of q x n at a root that is rounding, several times over."""
+
+MOMENT = 1e-6
+"""Rounding of (V - P) x omega in float32 relative to |V - P|, several times over."""
+
+OUTSIDE = 0.5
+"""How far outside of its light beam, relative to its size, a root is still taken for that of its curve: curves are
+slightly bent and may run along an edge."""
+
+FOLD_STEPS = 4
+"""Steps of regula falsi for a fold; t there is then good to the square of their error."""
+
 PIECES = 1 << 21
 """Most parts of beams that are looked at in one kernel."""
 
@@ -76,7 +104,8 @@ class Accuracy:
     inside a beam, relative to its change there.
     ``bend``: largest deviation of a light beam from a linear one, relative to its width; beams that are
     bent more are subdivided. ``points``: Gauss points along the curve in one beam. ``newton``: Newton
-    steps per point. ``weight``: camera legs with a smaller weight are dropped.
+    steps per point. ``weight``: camera legs with a smaller weight are dropped. ``interval_samples``, ``point_samples``: per
+    interval and per camera segment, of the estimators of these names.
     """
 
     bend: float
@@ -85,17 +114,55 @@ class Accuracy:
     weight: float
     linear: float
     clip: float
+    interval_samples: int
+    point_samples: int
 
 
 def accuracy(tolerance):
     """The counts that are safe for a relative error ``tolerance`` of the image (0: exact to float32)."""
     if tolerance >= 0.1:
-        return Accuracy(bend=0.5, points=1, newton=1, weight=1e-2 * tolerance, linear=0.5, clip=0.05)
+        return Accuracy(
+            bend=0.5,
+            points=1,
+            newton=1,
+            weight=1e-2 * tolerance,
+            linear=0.5,
+            clip=0.05,
+            interval_samples=1,
+            point_samples=8,
+        )
     if tolerance >= 0.01:
-        return Accuracy(bend=0.1, points=1, newton=1, weight=1e-2 * tolerance, linear=0.25, clip=0.01)
+        return Accuracy(
+            bend=0.1,
+            points=1,
+            newton=1,
+            weight=1e-2 * tolerance,
+            linear=0.25,
+            clip=0.01,
+            interval_samples=1,
+            point_samples=32,
+        )
     if tolerance >= 0.001:
-        return Accuracy(bend=0.05, points=2, newton=2, weight=1e-2 * tolerance, linear=0.1, clip=0.001)
-    return Accuracy(bend=0.02, points=4, newton=3, weight=1e-2 * tolerance, linear=0.05, clip=1e-4)
+        return Accuracy(
+            bend=0.05,
+            points=2,
+            newton=2,
+            weight=1e-2 * tolerance,
+            linear=0.1,
+            clip=0.001,
+            interval_samples=4,
+            point_samples=128,
+        )
+    return Accuracy(
+        bend=0.02,
+        points=4,
+        newton=3,
+        weight=1e-2 * tolerance,
+        linear=0.05,
+        clip=1e-4,
+        interval_samples=16,
+        point_samples=512,
+    )
 
 
 def gauss(points):

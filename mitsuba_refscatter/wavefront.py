@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from . import lanes, tolerances
 from .culling.pairs import Pairs, pairs_at
+from .estimators import point
 from .estimators.lighting import Lighting, Sums
 from .geometry import bvh
 
@@ -59,17 +60,49 @@ class Counts:
         self.leaves += other.leaves
 
 
-def scatter(segments, culling, lighting, accuracy, estimator, detail=False, progress=None):
+def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=False, progress=None):
     """Single scattering along every segment by one light. Returns (``Sums``, candidates, ``Counts``).
 
-    ``culling``: ``beams.Beams`` or ``spindle.Spindle``; ``estimator``: a module of ``estimators``. ``candidates``: pairs
-    per segment, None unless ``detail``. ``progress(done, total)`` is called per chunk.
+    ``culling``: ``beams.Beams`` or ``spindle.Spindle``; ``estimator``: a module of ``estimators``, ``seed``: of its random
+    numbers, if it has any. ``candidates``: pairs per segment, None unless ``detail``. ``progress(done, total)`` is called
+    per chunk.
     """
+    if culling.for_one_light and dr.width(lighting.L) > 1:
+        raise ValueError(
+            'refscatter: culling "beams" is made for one light point, not for one per segment: use "spindle"'
+        )
+    if estimator is not point:
+        return _sweep(segments, culling, lighting, accuracy, estimator, detail, progress)
+    n, counts = accuracy.point_samples, Counts()
+    sums, candidates = _nothing(len(segments), detail)
+    at_once = max(1, min(n, tolerances.PASS_SAMPLES // len(segments)))
+    for first in range(0, n, at_once):
+        several = min(at_once, n - first)
+        index, points, weight = point.queries(segments, lighting, first, several, n, seed)
+        dr.eval(index, points.o, weight)
+        report = None if progress is None else lambda done, total: progress(first + several * done / total, n)
+        found, more_candidates, more = _sweep(points, culling, lighting.at(index), accuracy, point, detail, report)
+        counts.add(more)
+        dr.scatter_add(sums.value, weight * found.value, index)
+        if detail:
+            dr.scatter_add(sums.contributions, found.contributions, index)
+            dr.scatter_add(sums.unresolved, found.unresolved, index)
+            dr.scatter_add(candidates, more_candidates, index)
+        sums.eval(candidates)
+    return sums, candidates, counts
+
+
+def _nothing(n, detail):
+    """``Sums`` of n segments and their candidates, to begin with."""
+    if not detail:
+        return Sums(dr.zeros(mi.Spectrum, n)), None
+    return Sums(dr.zeros(mi.Spectrum, n), *(dr.zeros(mi.Float, n) for _ in range(2))), dr.zeros(mi.Float, n)
+
+
+def _sweep(segments, culling, lighting, accuracy, estimator, detail, progress):
+    """``scatter`` with all segments as they are."""
     n = len(segments)
-    sums = Sums(dr.zeros(mi.Spectrum, n))
-    candidates = None
-    if detail:
-        sums.contributions, sums.unresolved, candidates = (dr.zeros(mi.Float, n) for _ in range(3))
+    sums, candidates = _nothing(n, detail)
     counts = Counts(segments=n)
     work = Work(sums, segments, culling, lighting, accuracy, estimator)
     chunk, start = tolerances.FIRST_CHUNK, 0
@@ -119,7 +152,7 @@ class Work:
         pairs = pairs_at(lane, leaf, dr.arange(mi.UInt32, found * bvh.LEAF))
         active, zeros, bent = self.classify(pairs)
         if candidates is not None:
-            looked_at = zeros.possible if self.culling.by_zeros else active
+            looked_at = zeros.possible if self.culling.for_one_light else active
             dr.scatter_add(candidates, mi.Float(1), pairs.segment, looked_at)
         whole, parts = lanes.chosen(zeros.bracketed & ~bent, zeros.possible & bent)
         return pairs_at(lane, leaf, whole), pairs_at(lane, leaf, parts)
@@ -144,7 +177,7 @@ class Work:
                 rest = self.estimator.accumulate(
                     self.sums, part, self.segments, self.culling, self.lighting, self.accuracy
                 )
-                if len(rest) > 0:
+                if rest is not None and len(rest) > 0:
                     todo.append(rest.cut(tolerances.CUT))
 
     def refine(self, pairs):

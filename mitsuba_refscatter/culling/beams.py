@@ -33,10 +33,8 @@ class Beams:
     count: int
     tree: bvh.Tree
 
-    proves = True
-    """Whether light paths may be proven to be free (``Taken.clear``, ``proven_lit``)."""
-    by_zeros = True
-    """Whether the zeros of g on a light beam are part of the culling, or a step behind it."""
+    for_one_light = True
+    """Made for one light point: knows the zeros of g before an estimator does, and proofs of visibility."""
 
     def node_test(self, segments, light):
         """The conservative test of camera segments against a node of the tree, for ``bvh.traverse``."""

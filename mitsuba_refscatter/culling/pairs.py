@@ -51,14 +51,6 @@ class Pairs:
         return dr.width(self.segment)
 
 
-def pairs_at(lane, leaf, index):
-    """The pairs numbered ``index``: beam ``index % LEAF`` of the (segment, leaf) pair ``index // LEAF``."""
-    if dr.width(index) == 0:
-        return Pairs(index, index)
-    place = index // bvh.LEAF
-    return Pairs(lanes.gather(lane, place), lanes.gather(leaf, place) * bvh.LEAF + (index & (bvh.LEAF - 1)))
-
-
 @dataclass
 class Taken:
     """What culling knows of pairs: triangle, light beam (``beam.Piece``), length to which the beam is proven to be

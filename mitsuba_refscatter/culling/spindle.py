@@ -23,8 +23,7 @@ all directions)."""
 class Spindle:
     """The tree over the triangles of a body, and its tests. Independent of the light."""
 
-    proves = False
-    by_zeros = False
+    for_one_light = False
 
     def __init__(self, body, records):
         self.surface = Surface(

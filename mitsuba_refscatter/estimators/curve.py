@@ -25,6 +25,10 @@ import mitsuba as mi
 from .. import optics, tolerances
 from ..culling import beam as light_beam
 from ..geometry.interval import positive_part
+from .chord import chord_of, limits_at, meeting
+
+classify = light_beam.classify
+"""Where a pair may contribute: the zeros of g."""
 
 
 @dataclass
@@ -58,32 +62,6 @@ def _evaluate(tri, lighting, segment, u, v, a, b):
     return _Point(P, n, omega, c_L, c_V, d_L, slope, g)
 
 
-def _meeting(P, omega, segment):
-    """Distances ``(t, s)`` along camera and light ray to where the two lines are closest."""
-    normal = dr.cross(segment.d, omega)
-    sine2 = dr.maximum(dr.squared_norm(normal), tolerances.PARALLEL)
-    offset = P - segment.o
-    t = dr.dot(dr.cross(offset, omega), normal) / sine2
-    s = dr.dot(dr.cross(offset, segment.d), normal) / sine2
-    return t, s
-
-
-@dataclass
-class _Chord:
-    """The zero line of the linear g in a beam: the corner M of the rays that look for the curve, the edge points
-    E1 and E2 from there, twice the area of M E1 E2, and g at the corner."""
-
-    M: object
-    to_E1: object
-    to_E2: object
-    scale: object
-    g_M: object
-    active: object
-
-    def direction(self, tau):
-        return self.to_E1 + tau * (self.to_E2 - self.to_E1)
-
-
 @dataclass
 class _Interval:
     """The part of a chord, start < tau < end, that light and segment reach; whether it begins or ends inside the
@@ -99,42 +77,6 @@ class _Interval:
         return value + (tau - tau0) * slope
 
 
-def _chord(piece, tri, lighting, segment):
-    """The chord of beams, and the limits (``_limits``) at its two ends, interpolated from the corners.
-
-    The rays start from the lone corner A: then the curves of neighbouring triangles meet on their common edge. Only
-    where g changes less along an edge at A than it can deviate from linear, as where the curve runs along that
-    edge, do they start from the corner where |g| is largest.
-    """
-    zeros = classify(piece, segment)
-    g = zeros.g
-    up = [value >= 0 for value in g]
-    lone_1, lone_2 = (up[0] == up[2]) & (up[1] != up[0]), (up[0] == up[1]) & (up[2] != up[0])
-    active = lone_1 | lone_2 | ((up[1] == up[2]) & (up[0] != up[1]))
-
-    def turn(values):
-        """The corners' values with the lone corner first, orientation kept."""
-        a, b, c = values
-        return (dr.select(lone_1, b, dr.select(lone_2, c, a)), dr.select(lone_1, c, dr.select(lone_2, a, b)),
-                dr.select(lone_1, a, dr.select(lone_2, b, c)))  # fmt: skip
-
-    g_A, g_B, g_C = turn(g)
-    A, B, C = turn(piece.uv())
-    r1 = g_A / dr.select(active, g_A - g_B, 1)
-    r2 = g_A / dr.select(active, g_A - g_C, 1)
-    flat = dr.minimum(dr.abs(g_A - g_B), dr.abs(g_A - g_C)) < zeros.bound
-    from_B, from_C = flat & (dr.abs(g_B) >= dr.abs(g_C)), flat & (dr.abs(g_B) < dr.abs(g_C))
-    M = dr.select(from_B, B, dr.select(from_C, C, A))
-    to_E1, to_E2 = A + r1 * (B - A) - M, A + r2 * (C - A) - M
-    scale = dr.abs(to_E1.x * to_E2.y - to_E1.y * to_E2.x)
-    chord = _Chord(M, to_E1, to_E2, scale, dr.select(from_B, g_B, dr.select(from_C, g_C, g_A)), active)
-    ends = []
-    for values in _corner_limits(piece, tri, lighting, segment):
-        at_A, at_B, at_C = turn(values)
-        ends.append((at_A + r1 * (at_B - at_A), at_A + r2 * (at_C - at_A)))
-    return chord, ends
-
-
 def _clip(limits, tau0, tau1):
     """The ``_Interval`` of tau0 < tau < tau1 in which all limits are positive, given their values at both ends."""
     start, end = positive_part(limits)
@@ -145,40 +87,6 @@ def _clip(limits, tau0, tau1):
     (t_0, t_1), _, (s_0, s_1) = limits[:3]
     path = (tau0, t_0 + s_0, (t_1 + s_1 - t_0 - s_0) / width)
     return _Interval(tau0 + start * width, tau0 + end * width, unsure, path)
-
-
-def _limits(point, t, s, tri, segment, lighting):
-    """What must be positive for light to reach the segment: t, t_max - t, s, the cosine to the light, the cosine to
-    the facet inside, and where light may be totally reflected the square of the refracted ray's cosine."""
-    limits = [t, segment.t_max - t, s, point.c_L, -dr.dot(point.omega, tri.Ng)]
-    if lighting.total_reflection:
-        limits.append(1 - (1 - dr.square(point.c_L)) / dr.square(lighting.eta))
-    return limits
-
-
-def _corner_limits(piece, tri, lighting, segment):
-    """``_limits`` at the corners of a piece, three values each."""
-    t, s, facing, leaving = [], [], [], []
-    for P, omega, uv in zip(piece.P, piece.omega, piece.uv()):
-        t_i, s_i = _meeting(P, omega, segment)
-        t.append(t_i)
-        s.append(s_i)
-        facing.append(dr.dot(tri.n0 + tri.n_u * uv.x + tri.n_v * uv.y, lighting.L - P))
-        leaving.append(-dr.dot(omega, tri.Ng))
-    limits = [t, [segment.t_max - t_i for t_i in t], s, facing, leaving]
-    if lighting.total_reflection:
-        limits.append([_inside_cosine2(tri, lighting, uv) for uv in piece.uv()])
-    return limits
-
-
-def _inside_cosine2(tri, lighting, uv):
-    """Square of the refracted ray's cosine; negative where light is totally reflected."""
-    c_L = dr.dot(dr.normalize(lighting.L - tri.position(uv.x, uv.y)), tri.normal(uv.x, uv.y))
-    return 1 - (1 - dr.square(c_L)) / dr.square(lighting.eta)
-
-
-classify = light_beam.classify
-"""Where a pair may contribute: the zeros of g."""
 
 
 def accumulate(sums, pairs, segments, culling, lighting, accuracy):
@@ -196,7 +104,7 @@ def accumulate(sums, pairs, segments, culling, lighting, accuracy):
     def rays(lighting, point, tri, s, taken, active):
         return lighting.visible(point.P, tri.Ng, point.omega, s, taken, active), False
 
-    if lighting.shadowless or not culling.proves:
+    if lighting.shadowless or not culling.for_one_light:
         return pairs.gather(dr.compress(_accumulate(pairs, *arguments, rays)[1]))
     is_open, cut = _accumulate(pairs, *arguments, proof)
     open_pairs = dr.compress(is_open)
@@ -212,8 +120,8 @@ def _interval(pairs, chord, ends, tri, lighting, segment, newton):
     limits = []
     for tau in (pairs.tau0, pairs.tau1):
         point, _, _ = _solve(chord, chord.direction(tau), tri, lighting, segment, newton)
-        t, s = _meeting(point.P, point.omega, segment)
-        limits.append(_limits(point, t, s, tri, segment, lighting))
+        t, s = meeting(point.P, point.omega, segment)
+        limits.append(limits_at(point, t, s, tri, segment, lighting))
     return _clip(list(zip(*limits)), pairs.tau0, pairs.tau1)
 
 
@@ -224,7 +132,7 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
     taken = culling.take(pairs, lighting.light)
     tri = taken.tri
-    chord, ends = _chord(taken.piece, tri, lighting, segment)
+    chord, ends = chord_of(taken.piece, tri, lighting, segment)
     interval = _interval(pairs, chord, ends, tri, lighting, segment, accuracy.newton)
     sigma_t = segments.sigma_t_of(pairs.segment)
     width = dr.maximum(interval.end - interval.start, 0)
@@ -237,10 +145,10 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     for tau, weight in zip(*tolerances.gauss(accuracy.points)):
         tau = interval.start + tau * (interval.end - interval.start)
         point, inverse_slope, solved = _solve(chord, chord.direction(tau), tri, lighting, segment, accuracy.newton)
-        t, s = _meeting(point.P, point.omega, segment)
+        t, s = meeting(point.P, point.omega, segment)
         cut |= may_cut & interval.unsure & (dr.abs(t + s - interval.path_at(tau)) > slack)
         active = chord.active & ~cut & (width > 0)
-        for limit in _limits(point, t, s, tri, segment, lighting):
+        for limit in limits_at(point, t, s, tri, segment, lighting):
             active &= limit > 0
         free, undecided = shadow(lighting, point, tri, s, taken, active)
         is_open |= active & undecided

@@ -1,5 +1,7 @@
 """The Mitsuba plugin ``refscatter``. Reloaded by ``plugin.py`` for every variant."""
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 
@@ -7,7 +9,7 @@ from .. import camera, film, lanes, options, platform, tolerances, visibility, w
 from ..culling import beams as light_beams
 from ..culling.clearance import Clearance
 from ..culling.spindle import Spindle
-from ..estimators import curve
+from ..estimators import curve, interval, point
 from ..estimators.lighting import Lighting
 from ..scene import SceneError, read, refuse_gradients
 from ..wavefront import Segments
@@ -16,7 +18,7 @@ NESTED_WITH_MEDIA = ("Volumetric", "VolpathMis", "PRBVolpath", "Refscatter")
 """Parts of the names of integrators that sample media, as they show in descriptions, too."""
 
 
-ESTIMATORS = {"curve": curve}
+ESTIMATORS = {"curve": curve, "interval": interval, "point": point}
 
 
 class RefscatterIntegrator(mi.SamplingIntegrator):
@@ -103,7 +105,8 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         wanted = options.aov_list(opt)
         ray = mi.Ray3f(ray)
         paths = camera.trace(prepared.scene, ray, active, opt.internal_bounces, opt.surfaces, prepared.accuracy.weight)
-        single = scatter(prepared, paths, ray, n, detail=bool({"candidates", "contributions", "unresolved"} & set(wanted)),
+        seed = seed_from(sampler) if opt.estimator == "point" else 0
+        single = scatter(prepared, paths, ray, n, seed, detail=bool({"candidates", "contributions", "unresolved"} & set(wanted)),
                          progress=progress)  # fmt: skip
         shown, hit = mi.Spectrum(0), paths.hit
         if opt.surfaces:
@@ -124,6 +127,8 @@ class Prepared:
     def __init__(self, scene, opt):
         self.scene = read(scene)
         self.accuracy = tolerances.accuracy(opt.tolerance)
+        if opt.samples:
+            self.accuracy = replace(self.accuracy, interval_samples=opt.samples, point_samples=opt.samples)
         self.estimator, self.culling = ESTIMATORS[opt.estimator], opt.culling
         self.counts = wavefront.Counts()
         self._lights, self._clearances, self._spindles = {}, {}, {}
@@ -165,7 +170,7 @@ class Single:
             self.candidates, self.contributions, self.unresolved = (dr.zeros(mi.Float, n) for _ in range(3))
 
 
-def scatter(prepared, paths, ray, n, detail, progress):
+def scatter(prepared, paths, ray, n, seed, detail, progress):
     """Single scattering of all lights along all segments of the camera paths."""
     scene, single = prepared.scene, Single(n, detail)
     work = [(body, light) for body in scene.bodies for light in scene.lights if paths.segments[body.index]]
@@ -179,7 +184,7 @@ def scatter(prepared, paths, ray, n, detail, progress):
         segments = Segments(o - mi.Point3f(dr.opaque(mi.Point3f, body.centre)), d, t_max, sigma_t)
         report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
         sums, candidates, counts = wavefront.scatter(
-            segments, culling, lighting, prepared.accuracy, prepared.estimator, detail, report
+            segments, culling, lighting, prepared.accuracy, prepared.estimator, seed + i, detail, report
         )
         prepared.counts.add(counts)
         factor = weight * sigma_s * light.intensity(wavelengths)

@@ -1,0 +1,194 @@
+"""The interval estimator: the parts of a camera segment that each triangle lights, sampled regularly (Holzschuch 2015).
+
+For each candidate triangle the curve of points that refract light onto the camera segment runs from one edge to
+another. Newton's method with one coordinate fixed finds its ends; in between, at fixed distances t along the segment,
+it finds the points of the curve, where the point form (``point_form``) is summed. Departures from the publication:
+
+- The search for the ends starts where the linear g (``beam.classify``) is zero on the edges, not at the intersection of
+  the camera ray with the triangle's plane, from which a walk along the curve's gradient may lose it. Where g is far from
+  linear the triangle is cut first, so that closed curves, and several in one triangle, are found, too.
+- The gradient (the cross product of two rows of the Jacobian) tells at both ends whether t grows inwards. If it does, or
+  falls, at both, the curve turns back in between (a fold): the interval is split there. The publication assumes one
+  monotone interval.
+- Samples are regular in x, with t a quadratic of x that has the gradient's slopes at both ends, instead of in t: the
+  integrand, which grows like |t - t_c|^(-1/2) at a fold, is then bounded. With equal slopes both are the same.
+- The residual of Newton's method is q x n instead of the half vector's (``solve.constraint``), so that eta may be near
+  or equal to 1, and a step that makes it larger is halved.
+- Normals are interpolated or those of facets; D is the same formula for both.
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import lanes, tolerances
+from ..culling import beam as light_beam
+from ..geometry.interval import positive_part
+from ..solve import newton
+from ..solve.constraint import connect
+from . import point_form
+from .chord import chord_of, meeting
+
+classify = light_beam.classify
+"""Where a pair may contribute: the zeros of g."""
+
+
+@dataclass
+class _End:
+    """A point of the curve: (u, v), t, and dt by the position along the chord (``slope``)."""
+
+    uv: object
+    t: object
+    slope: object
+
+    def select(self, mask, other):
+        return _End(*(dr.select(mask, a, b) for a, b in zip(vars(self).values(), vars(other).values())))
+
+    def gather(self, index):
+        return _End(*(lanes.gather(x, index) for x in vars(self).values()))
+
+
+def accumulate(sums, pairs, segments, culling, lighting, accuracy):
+    """Adds what the light beams of ``pairs`` bring to their segments to ``sums``; nothing is left over."""
+    curve = _Curves(pairs, segments, culling, lighting)
+    start, end = curve.end(curve.start), curve.end(curve.stop)
+    turns = curve.exists & (start.slope * end.slope < 0)
+    dr.eval(start, end, turns, curve.exists)
+    folded = dr.compress(turns)
+    _sample(sums, pairs, start, end, curve.exists & ~turns, segments, culling, lighting, accuracy)
+    if dr.width(folded) > 0:
+        pairs, start, end = pairs.gather(folded), start.gather(folded), end.gather(folded)
+        fold = _Curves(pairs, segments, culling, lighting).fold(start, end)
+        dr.eval(fold)
+        for a, b in ((start, fold), (fold, end)):
+            _sample(sums, pairs, a, b, mi.Bool(True), segments, culling, lighting, accuracy)
+    return None
+
+
+class _Curves:
+    """The curves in the light beams of pairs, each parametrised by tau along the chord: rays from a corner M through
+    the chord (``chord.Chord``); those for tau = 0 and 1 run along edges. ``start``, ``stop``: the part of it that is lit
+    and whose light is not reflected totally."""
+
+    def __init__(self, pairs, segments, culling, lighting):
+        self.segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
+        taken = culling.take(pairs, lighting.light)
+        self.tri, self.light = taken.tri, lighting.light
+        self.chord, limits = chord_of(taken.piece, self.tri, lighting, self.segment)
+        # Of the limits those of the segment's own ends are taken later, exactly.
+        self.start, self.stop = positive_part(limits[3:])
+        self.exists = self.chord.active & (self.start < self.stop)
+        self.along = self.chord.to_E2 - self.chord.to_E1
+
+    def end(self, tau):
+        """The curve's point at tau: Newton's method for t and the position on the ray from M."""
+        D, segment = self.chord.direction(tau), self.segment
+        uv = self.chord.M + D
+        P, omega = light_beam.refracted(self.tri, uv.x, uv.y, *self.light)
+        t, s = meeting(P, omega, segment)
+        # t in units of what it changes by per unit of the ray, roughly: as much as P moves.
+        unit = dr.norm(self.tri.P_u * D.x + self.tri.P_v * D.y)
+
+        def system(x, lam):
+            uv = self.chord.M + lam * D
+            V = segment.o + (t + x * unit) * segment.d
+            c = connect(self.tri, self.light, V, segment.d, uv.x, uv.y).cross()
+            return c.value, c.by_t * unit, c.by_u * D.x + c.by_v * D.y
+
+        solution = newton.solve(
+            system,
+            (mi.Float(0) + 0 * t, mi.Float(1) + 0 * t),
+            lambda x, lam: (lam >= 0) & (lam <= tolerances.OVERSHOOT),
+            point_form.NEWTON,
+        )
+        x, lam = (dr.select(solution.converged, a, b) for a, b in zip(solution.x, (0, 1)))
+        uv, t = self.chord.M + lam * D, t + x * unit
+        c = connect(self.tri, self.light, segment.o + t * segment.d, segment.d, uv.x, uv.y).cross()
+        tangent = c.tangent()
+        forward = tangent.y * self.along.x + tangent.z * self.along.y
+        return _End(uv, t, tangent.x * dr.squared_norm(self.along) / dr.select(forward == 0, 1, forward))
+
+    def fold(self, start, end):
+        """Where t turns back between two points at which its slopes differ in sign: regula falsi for the slope."""
+        lo, hi, at_lo, at_hi = self.start, self.stop, start.slope, end.slope
+        for _ in range(tolerances.FOLD_STEPS):
+            tau = lo - at_lo * (hi - lo) / (at_hi - at_lo)
+            turn = self.end(tau)
+            before = (turn.slope > 0) == (at_lo > 0)
+            lo, at_lo = dr.select(before, tau, lo), dr.select(before, turn.slope, at_lo)
+            hi, at_hi = dr.select(before, hi, tau), dr.select(before, at_hi, turn.slope)
+        return _End(turn.uv, turn.t, dr.zeros(mi.Float, dr.width(turn.t)))
+
+
+@dataclass
+class _Range:
+    """t as a quadratic of x with t(0), t(1) and the ratio of the slopes there given; first < x < last is what lies
+    on the segment."""
+
+    t0: object
+    change: object
+    r: object
+    first: object
+    last: object
+
+    def t(self, x):
+        return self.t0 + self.change * (2 * self.r * x + (1 - 2 * self.r) * dr.square(x))
+
+    def dt(self, x):
+        return 2 * dr.abs(self.change) * (self.r + (1 - 2 * self.r) * x)
+
+
+def _range(a, b, t_max):
+    """``_Range`` between two points of a curve, monotone and not quite so where the slopes say otherwise."""
+    change = b.t - a.t
+    slopes = dr.abs(a.slope) + dr.abs(b.slope)
+    monotone = (a.slope * change >= 0) & (b.slope * change >= 0) & (slopes > 0) & dr.isfinite(slopes)
+    r = dr.select(monotone, dr.abs(a.slope) / slopes, 0.5)
+
+    def x(t):
+        y = dr.clip((t - a.t) / dr.select(change == 0, 1, change), 0, 1)
+        return y / dr.maximum(r + dr.safe_sqrt(dr.square(r) + (1 - 2 * r) * y), 1e-30)
+
+    x0, x1 = x(mi.Float(0)), x(t_max)
+    return _Range(a.t, change, r, dr.minimum(x0, x1), dr.maximum(x0, x1))
+
+
+def _sample(sums, pairs, a, b, exists, segments, culling, lighting, accuracy):
+    """Adds the intervals between the points ``a`` and ``b`` of the curves of pairs, by regular samples."""
+    segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
+    taken, sigma_t = culling.take(pairs, lighting.light), segments.sigma_t_of(pairs.segment)
+    piece, n = taken.piece, dr.opaque(mi.UInt32, accuracy.interval_samples)
+    span = _range(a, b, segment.t_max)
+    step = (span.last - span.first) / mi.Float(n)
+    exists = exists & (step > 0)
+    along, forward = b.uv - a.uv, dr.sign(span.change)
+
+    def sample(i, total, contributes, found):
+        x = span.first + (mi.Float(i) + 0.5) * step
+        t = span.t(x)
+        start = (a.uv + x * along - mi.Point2f(piece.u0, piece.v0)) / piece.h
+        V = segment.o + t * segment.d
+        solution = point_form.root(taken, lighting.light, V, segment.d, start, tolerances.OUTSIDE, exists)
+        u, v = piece.u0 + piece.h * solution.x[0], piece.v0 + piece.h * solution.x[1]
+        path = connect(taken.tri, lighting.light, V, segment.d, u, v)
+        # The other side of a fold has a root at the same t.
+        tangent = path.cross().tangent()
+        same_side = tangent.x * (tangent.y * along.x + tangent.z * along.y) * forward > 0
+        active = exists & solution.converged & same_side
+        found += dr.select(active, 1, 0)
+        active &= point_form.refracts(path, taken.tri)
+        active = lighting.visible(path.P, taken.tri.Ng, path.omega_V, path.s, taken, active)
+        value = point_form.in_scattered(path, taken.tri, segment.d, lighting, sigma_t)
+        value *= dr.exp(-sigma_t * t) * span.dt(x) * step
+        active &= dr.all(dr.isfinite(value))
+        return i + 1, total + dr.select(active, value, 0), contributes | active, found
+
+    width = len(pairs)
+    nothing = dr.zeros(mi.UInt32, width)
+    state = (nothing, dr.zeros(mi.Spectrum, width), dr.zeros(mi.Bool, width), dr.zeros(mi.UInt32, width))
+    _, total, contributes, found = dr.while_loop(state, lambda i, *_: i < n, sample, label="samples", mode="symbolic")
+    # Next to a fold, or where a whole curve has nearly the same t, samples fail: t is not known to enough digits.
+    sums.add(pairs, total, contributes, resolved=2 * found >= n)
+
+    sums.eval()

@@ -1,0 +1,115 @@
+"""The point estimator: in-scattered light at sample points of the camera segments (Walter et al. 2009).
+
+For each sample point V all light paths L -> P -> V over all candidate triangles are found and summed by the point form
+(``point_form``). Departures from the publication:
+
+- A triangle is cut where refraction is far from linear on it, until one root per part is all there can be; the
+  publication starts one search per triangle and misses further roots, as there are near caustics.
+- The samples are stratified in the angle under which the light sees the segment (equiangular), not uniform.
+- The residual of Newton's method is q x n instead of the half vector's (``solve.constraint``), so that eta may be near
+  or equal to 1, and a step that makes it larger is halved.
+- Triangles are found by the same test in a tree whose nodes are spheres and cones of normals, but all triangles of a
+  sample point are found first and then solved together.
+"""
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import tolerances
+from ..culling import beam as light_beam
+from ..solve import newton
+from ..solve.constraint import connect
+from . import point_form
+
+
+def queries(segments, lighting, first, several, n, seed):
+    """Of ``n`` sample points of each segment the ones from ``first`` on, ``several`` per segment.
+
+    Returns the indices of their segments, segments of no length at these points, and their weights: 1 / density, and
+    the attenuation along the camera ray.
+    """
+    lane, count = dr.arange(mi.UInt32, several * len(segments)), dr.opaque(mi.UInt32, len(segments))
+    index, k = lane % count, dr.opaque(mi.UInt32, first) + lane // count
+    segment = segments.gather(index)
+    x = (mi.Float(k) + mi.sample_tea_float32(index, dr.opaque(mi.UInt32, seed) + k)) / dr.opaque(mi.Float, n)
+    to_light = lighting.at(index).L - segment.o
+    foot = dr.dot(to_light, segment.d)
+    h = dr.maximum(dr.norm(to_light - foot * segment.d), tolerances.NEAREST * segment.t_max)
+    start, end = dr.atan2(-foot, h), dr.atan2(segment.t_max - foot, h)
+    offset = h * dr.tan(start + x * (end - start))
+    t = dr.clip(foot + offset, 0, segment.t_max)
+    weight = (end - start) * (dr.square(h) + dr.square(offset)) / (h * dr.opaque(mi.Float, n))
+    sigma_t = segments.sigma_t_of(index)
+    points = replace(segment, o=segment.o + t * segment.d, t_max=dr.zeros(mi.Float, dr.width(t)), sigma_t=sigma_t)
+    return index, points, weight * dr.exp(-sigma_t * t)
+
+
+def classify(piece, segment):
+    """``beam.Zeros`` of the moment m = (V - P) x omega, which is zero at the roots for V.
+
+    m is taken as its two components across the mean direction of the light; ``g`` are the barycentric coordinates of
+    the linear m's root (times an area) with that area last. Each part may hold a root: ``bracketed`` = ``possible``.
+    """
+    omega = piece.omega
+    axis = mi.Frame3f(dr.normalize(omega[0] + omega[1] + omega[2]))
+    m, reach = [], mi.Float(0)
+    for p, w in zip(piece.P, omega):
+        to_V = segment.o - p
+        moment = dr.cross(to_V, w)
+        m.append(mi.Vector2f(dr.dot(moment, axis.s), dr.dot(moment, axis.t)))
+        reach = dr.maximum(reach, dr.norm(to_V))
+    bound = piece.bend * reach + piece.twist + tolerances.MOMENT * reach
+    areas = [_cross(m[1], m[2]), _cross(m[2], m[0]), _cross(m[0], m[1])]
+    area = areas[0] + areas[1] + areas[2]
+    edges = [dr.norm(m[2] - m[1]), dr.norm(m[0] - m[2]), dr.norm(m[1] - m[0])]
+    longest = light_beam.fold(dr.maximum, edges)
+    # The triangle of linear values, wider by the bound on all sides, holds 0; its box does, where it is too thin.
+    possible = mi.Bool(True)
+    for a, edge in zip(areas, edges):
+        possible &= a * dr.sign(area) >= -bound * edge
+    thin = dr.abs(area) <= bound * longest
+    possible |= thin
+    for k in range(2):
+        low, high = (light_beam.fold(f, [x[k] for x in m]) for f in (dr.minimum, dr.maximum))
+        possible &= (low <= bound) & (high >= -bound)
+    nonlinearity = bound * longest / dr.maximum(dr.abs(area), 1e-30)
+    return light_beam.Zeros(possible, possible, [*areas, area], bound, nonlinearity)
+
+
+def roots(pairs, taken, segment, light):
+    """The root of each pair's light beam for V = the segment's origin: ``(solution, path, valid)``, at most one.
+
+    ``path``: the ``Connection`` at the root; ``valid``: whether there is one, inside the beam's own triangle.
+    """
+    zeros = classify(taken.piece, segment)
+    area = dr.select(zeros.g[3] == 0, 1, zeros.g[3])
+    start = mi.Vector2f(dr.clip(zeros.g[1] / area, 0, 1), dr.clip(zeros.g[2] / area, 0, 1))
+    start /= dr.maximum(1, start.x + start.y)
+    solution = point_form.root(taken, light, segment.o, segment.d, start, tolerances.OUTSIDE)
+    (a, b), piece, tri = solution.x, taken.piece, taken.tri
+    path = connect(tri, light, segment.o, segment.d, piece.u0 + piece.h * a, piece.v0 + piece.h * b)
+    # A root on the edge between two parts of a triangle belongs to one of them: the middle ones (h < 0) are open
+    # where the others are closed.
+    inside = dr.select(piece.h > 0, (a >= 0) & (b >= 0) & (a + b < 1), (a > 0) & (b > 0) & (a + b <= 1))
+    return solution, path, solution.converged & inside & point_form.refracts(path, tri)
+
+
+def accumulate(sums, pairs, segments, culling, lighting, accuracy):
+    """Adds what the light beams of ``pairs`` bring to their sample points; nothing is left over."""
+    segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
+    taken = culling.take(pairs, lighting.light)
+    tri = taken.tri
+    solution, path, active = roots(pairs, taken, segment, lighting.light)
+    active = lighting.visible(path.P, tri.Ng, path.omega_V, path.s, taken, active)
+    value = point_form.in_scattered(path, tri, segment.d, lighting, segments.sigma_t_of(pairs.segment))
+    finite = dr.all(dr.isfinite(value))
+    failed = (solution.status == int(newton.Status.OUT_OF_ITERATIONS)) | (active & ~finite)
+    sums.add(pairs, dr.select(active & finite, value, 0), active, ~failed)
+    sums.eval()
+    return None
+
+
+def _cross(a, b):
+    return a.x * b.y - a.y * b.x

@@ -1,0 +1,113 @@
+"""The constraint that a refracted light path L -> P -> V fulfils, with its derivatives.
+
+With unit directions omega_L from P to the light and omega_V from P to V = o + t d let q = omega_L + eta omega_V.
+Light from L is refracted at P to V where q is parallel to the normal n, with both directions on their sides of the
+surface. Two residuals of this, each given together with its 3 x 3 Jacobian by (t, u, v):
+
+    half_vector:  f = sign(eta - 1) q / |q| + n     (Walter et al. 2009, eq. 6; Holzschuch 2015, eq. 4)
+    cross:        q x n
+
+The first excludes paths that are reflected; it loses digits as eta goes to 1, where |q| goes to |eta - 1|. The second
+holds for every eta, 1 included. In both omega_V points into the body on the line through P and V, so that a root may
+also have V behind P (s < 0): callers test ``s``.
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+
+
+@dataclass
+class Residual:
+    """A residual (3 numbers) and its derivatives by t, u and v: the columns of its Jacobian."""
+
+    value: object
+    by_t: object
+    by_u: object
+    by_v: object
+
+    def tangent(self):
+        """A vector along the curve residual = 0 in (t, u, v), of any length and sign.
+
+        The cross product of two rows of the Jacobian, which has rank 2 there; those two that make it largest.
+        """
+        rows = [type(self.value)(self.by_t[k], self.by_u[k], self.by_v[k]) for k in range(3)]
+        best, length2 = None, None
+        for i in range(3):
+            normal = dr.cross(rows[i], rows[(i + 1) % 3])
+            size2 = dr.squared_norm(normal)
+            if best is None:
+                best, length2 = normal, size2
+            else:
+                best, length2 = dr.select(size2 > length2, normal, best), dr.maximum(size2, length2)
+        return best
+
+
+@dataclass
+class Connection:
+    """The path from the light over P to V: unit directions from P, distances (``s`` is negative where V is on the
+    light's side), the normal, q, and their derivatives."""
+
+    P: object
+    n: object
+    omega_L: object
+    d_L: object
+    omega_V: object
+    s: object
+    q: object
+    q_t: object
+    q_u: object
+    q_v: object
+    n_u: object
+    n_v: object
+
+    def cross(self):
+        """``Residual`` q x n."""
+        return Residual(
+            dr.cross(self.q, self.n), dr.cross(self.q_t, self.n),
+            dr.cross(self.q_u, self.n) + dr.cross(self.q, self.n_u), dr.cross(self.q_v, self.n) + dr.cross(self.q, self.n_v),
+        )  # fmt: skip
+
+    def half_vector(self, sign):
+        """``Residual`` f; ``sign`` is 1 for eta > 1 and -1 for eta < 1."""
+        scale = sign * dr.rcp(dr.norm(self.q))
+        h = self.q * scale
+
+        def turned(q_x):
+            q_x = q_x * scale
+            return q_x - h * dr.dot(h, q_x)
+
+        return Residual(h + self.n, turned(self.q_t), turned(self.q_u) + self.n_u, turned(self.q_v) + self.n_v)
+
+    def distance_correction(self, tri):
+        """D: light that is refracted at P spreads at V as from a source at distance sqrt(D) (Walter et al. 2009,
+        eqs. 13 to 15; here for interpolated and for facet normals):
+
+            D = s^2 d_L^2 |J| / (|omega_L . n| |omega_V . Ng| |P_u x P_v|),
+            J = n . [(q_u - mu n_u) x (q_v - mu n_v)],   mu = q . n
+        """
+        mu = dr.dot(self.q, self.n)
+        J = dr.dot(self.n, dr.cross(self.q_u - mu * self.n_u, self.q_v - mu * self.n_v))
+        area2 = dr.norm(dr.cross(tri.P_u, tri.P_v))
+        cosines = dr.abs(dr.dot(self.omega_L, self.n) * dr.dot(self.omega_V, tri.Ng))
+        return dr.square(self.s * self.d_L) * dr.abs(J) / (cosines * area2)
+
+
+def connect(tri, light, V, d, u, v):
+    """``Connection`` of ``light`` = (L, eta), the point (u, v) of triangles and ``V``, which moves along ``d``."""
+    L, eta = light
+    P = tri.position(u, v)
+    n, n_u = tri.normal_derivative(u, v, 1, 0)
+    _, n_v = tri.normal_derivative(u, v, 0, 1)
+    to_light, to_V = L - P, V - P
+    d_L = dr.norm(to_light)
+    s = dr.norm(to_V) * dr.select(dr.dot(to_V, tri.Ng) > 0, -1, 1)
+    omega_L, omega_V = to_light / d_L, to_V / s
+
+    def turn(omega, move, distance):
+        return (move - omega * dr.dot(omega, move)) / distance
+
+    q_u, q_v = (-turn(omega_L, P_x, d_L) - eta * turn(omega_V, P_x, s) for P_x in (tri.P_u, tri.P_v))
+    return Connection(
+        P, n, omega_L, d_L, omega_V, s, omega_L + eta * omega_V, eta * turn(omega_V, d, s), q_u, q_v, n_u, n_v
+    )

@@ -1,0 +1,117 @@
+"""Newton's method for three equations in two unknowns that have a common root. Knows no optics."""
+
+import enum
+from dataclasses import dataclass
+
+import drjit as dr
+
+
+class Status(enum.IntEnum):
+    """How a lane ended."""
+
+    CONVERGED = 0
+    LEFT = 1
+    """outside the domain"""
+    SINGULAR = 2
+    """the two columns of the Jacobian became parallel"""
+    OUT_OF_ITERATIONS = 3
+    NON_FINITE = 4
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of the iteration, in units of the unknowns: ``step``: a root is found when the next step is shorter;
+    ``longest``: longer steps are shortened to it; ``iterations``: evaluations of the system at most;
+    ``parallel``: square of the sine between the Jacobian's columns below which it is singular; ``rounding``: size of
+    residuals that are rounding errors."""
+
+    step: float
+    longest: float
+    iterations: int
+    parallel: float
+    rounding: float
+
+
+@dataclass
+class Solution:
+    """The unknowns ``x`` (two numbers), the ``Status`` (UInt32) and the number of evaluations."""
+
+    x: tuple
+    status: object
+    iterations: object
+
+    @property
+    def converged(self):
+        return self.status == int(Status.CONVERGED)
+
+
+def solve(system, x, domain, limits, active=True):
+    """Solves ``system`` from the start ``x`` = (x0, x1).
+
+    ``system(x0, x1) -> (r, c0, c1)``: residual and its two derivatives (vectors of 3 numbers), always together.
+    ``domain(x0, x1) -> Bool``: where the iteration may be. Each step is that of the pseudo-inverse,
+    -(J^T J)^-1 J^T r; where the residual has grown it is taken back and halved. Lanes that are not ``active`` end at
+    once, out of iterations. Returns a ``Solution``.
+    """
+    UInt32 = dr.uint32_array_t(type(x[0]))
+    r, c0, c1 = system(*x)
+    size2, step, verdict = _judge(r, c0, c1, limits)
+    x, verdict = _finish(x, step, verdict, domain)
+    going = (verdict == _GO_ON) & active
+    # Copies, for the loop changes its state.
+    state = (x[0] + 0, x[1] + 0, *step, size2, verdict, dr.full(UInt32, 1, dr.width(verdict)), going)
+
+    def body(x0, x1, s0, s1, size2, verdict, count, going):
+        trial = (x0 + s0, x1 + s1)
+        r, c0, c1 = system(*trial)
+        trial_size2, (t0, t1), judged = _judge(r, c0, c1, limits)
+        grown = ~(trial_size2 < size2)
+        short = dr.square(s0) + dr.square(s1) < limits.step**2
+        accept = going & ~grown
+        trial, judged = _finish(trial, (t0, t1), judged, domain)
+        x0, x1 = dr.select(accept, trial[0], x0), dr.select(accept, trial[1], x1)
+        size2 = dr.select(accept, trial_size2, size2)
+        s0, s1 = dr.select(accept, t0, 0.5 * s0), dr.select(accept, t1, 0.5 * s1)
+        # No step makes it smaller: it is the root to within rounding, or there is none here.
+        end = dr.select(size2 < limits.rounding**2, UInt32(int(Status.CONVERGED)), UInt32(int(Status.SINGULAR)))
+        stuck = dr.select(short, end, UInt32(_GO_ON))
+        verdict = dr.select(accept, judged, dr.select(going, stuck, verdict))
+        count += 1
+        going &= (verdict == _GO_ON) & (count < limits.iterations)
+        return x0, x1, s0, s1, size2, verdict, count, going
+
+    x0, x1, _, _, _, verdict, count, _ = dr.while_loop(state, lambda *s: s[-1], body, label="newton", mode="symbolic")
+    return Solution((x0, x1), dr.select(verdict == _GO_ON, int(Status.OUT_OF_ITERATIONS), verdict), count)
+
+
+_GO_ON = 99
+"""No status yet."""
+
+
+def _judge(r, c0, c1, limits):
+    """Square of the residual, the next step, and the status that it ends with (or ``_GO_ON``)."""
+    UInt32 = dr.uint32_array_t(type(r.x))
+    a, b, c = dr.squared_norm(c0), dr.dot(c0, c1), dr.squared_norm(c1)
+    g0, g1 = dr.dot(c0, r), dr.dot(c1, r)
+    det = a * c - dr.square(b)
+    singular = det <= limits.parallel * a * c
+    scale = -dr.rcp(dr.select(singular, 1, det))
+    s0, s1 = (c * g0 - b * g1) * scale, (a * g1 - b * g0) * scale
+    length = dr.sqrt(dr.square(s0) + dr.square(s1))
+    size2 = dr.squared_norm(r)
+    # A root, not a place where the residual is smallest: the step takes all of it away.
+    left = dr.norm(r + s0 * c0 + s1 * c1)
+    found = (length < limits.step) & (left <= limits.step * dr.sqrt(dr.maximum(a, c)) + limits.rounding)
+    verdict = dr.select(found, UInt32(int(Status.CONVERGED)), UInt32(_GO_ON))
+    verdict = dr.select(singular, int(Status.SINGULAR), verdict)
+    verdict = dr.select(dr.isfinite(size2) & dr.isfinite(length), verdict, int(Status.NON_FINITE))
+    shorter = dr.minimum(1, limits.longest / dr.maximum(length, 1e-30))
+    return size2, (s0 * shorter, s1 * shorter), verdict
+
+
+def _finish(x, step, verdict, domain):
+    """Takes the last step of lanes that have converged; those outside the domain have left."""
+    last = verdict == int(Status.CONVERGED)
+    x = tuple(dr.select(last, a + s, a) for a, s in zip(x, step))
+    ends = last | (verdict == _GO_ON)
+    return x, dr.select(ends & ~domain(*x), int(Status.LEFT), verdict)
