@@ -16,9 +16,14 @@ def refract_in(omega_L, n, eta):
     (unlit) the formula's smooth continuation is returned. Callers test ``c_L`` and ``c_V``.
     """
     c_L = dr.dot(omega_L, n)
-    c_V = dr.safe_sqrt(1 - (1 - dr.square(c_L)) / dr.square(eta))
+    c_V = dr.safe_sqrt(inside_cosine2(c_L, eta))
     omega = dr.fma(n, c_L / eta - c_V, -omega_L / eta)
     return omega, c_L, c_V
+
+
+def inside_cosine2(c_L, eta):
+    """Square of the cosine inside for the cosine outside (Snell); negative under total reflection."""
+    return 1 - (1 - dr.square(c_L)) / dr.square(eta)
 
 
 def refract_in_derivative(omega_L, n, eta, c_L, c_V, d_omega_L, d_n):

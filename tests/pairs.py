@@ -153,17 +153,32 @@ def _brings(patch, uv, g, light, eta, o, d, t_max):
     total, place = np.zeros(len(g)), A
     for tau in CHORD_POINTS:
         point = ends[0] + tau * (ends[1] - ends[0])
-        x = oracle.light_ray(patch, point, light, eta)
-        t, s, scale = oracle.meeting(x, o, d)
-        inside = -dot(x.omega, patch.ng)
-        with np.errstate(all="ignore"):  # where a value is not finite there is no light, see below
-            t, s = t / scale, s / scale
-            transmitted = 2 * eta * x.c_l**2 * (1 / (x.c_l + eta * x.c_v) ** 2 + 1 / (eta * x.c_l + x.c_v) ** 2)
-            value = transmitted * patch.area2 * inside / x.d_l**2 * np.exp(-SIGMA * (t + s))
-        good = (x.c_l > 0) & (x.radicand > 0) & (inside > 0) & (s > 0) & (t > 0) & (t < t_max[:, None])
-        value = np.where(good & np.isfinite(value), value, 0)[:, 0] * share * side**2 / np.abs(g_A) / len(CHORD_POINTS)
+        value = _value(patch, point, light, eta, o, d, t_max) * share * side**2 / np.abs(g_A) / len(CHORD_POINTS)
         total, place = total + value, np.where(value[:, None] > 0, point, place)
     return total, place
+
+
+def _value(patch, point, light, eta, o, d, t_max):
+    """The integrand at points (u, v), attenuation included; 0 where no light comes from there to the segment."""
+    x = oracle.light_ray(patch, point, light, eta)
+    t, s, scale = oracle.meeting(x, o, d)
+    inside = -dot(x.omega, patch.ng)
+    with np.errstate(all="ignore"):  # where a value is not finite there is no light, see below
+        t, s = t / scale, s / scale
+        transmitted = 2 * eta * x.c_l**2 * (1 / (x.c_l + eta * x.c_v) ** 2 + 1 / (eta * x.c_l + x.c_v) ** 2)
+        value = transmitted * patch.area2 * inside / x.d_l**2 * np.exp(-SIGMA * (t + s))
+    good = (x.c_l > 0) & (x.radicand > 0) & (inside > 0) & (s > 0) & (t > 0) & (t < t_max[:, None])
+    return np.where(good & np.isfinite(value), value, 0)[:, 0]
+
+
+def real(patch, uv, light, eta, o, d, t_max):
+    """Whether there is light at the roots of g nearest to points that the grid found; near the critical angle g is far
+    from linear even on it."""
+    for _ in range(30):
+        g, gradient = oracle.beam_gap(patch, uv, light, eta, o, d)
+        step = g[:, None] * gradient / np.maximum(dot(gradient, gradient), 1e-300)
+        uv = uv - step * np.minimum(1, 0.02 / np.maximum(norm(step), 1e-300))
+    return _value(patch, uv, light, eta, o, d, t_max) > 0
 
 
 # ---- The package ----------------------------------------------------------------------------
@@ -205,7 +220,7 @@ class Culling:
             return np.zeros(0, int), np.zeros(0, int), 0
         pairs = pairs_at(lane, leaf, dr.arange(mi.UInt32, found * bvh.LEAF))
         exists, zeros, _ = work.classify(pairs)
-        looked_at = int(dr.count(zeros.possible if self.culling.by_zeros else exists)[0])
+        looked_at = int(dr.count(zeros.possible if self.culling.for_one_light else exists)[0])
         pairs = pairs.gather(dr.compress(zeros.possible))
         triangle = self.culling.triangle_of(pairs) - self.body.first_record
         return pairs.segment.numpy().astype(int), triangle.numpy().astype(int), looked_at
@@ -224,7 +239,9 @@ def lost_and_looked_at(mesh, eta, light, culling, o, d, t_max):
     ray, tri, value, uv = contributing(mesh, eta, light, o, d, t_max)
     pairs = len(mesh.faces) * ray + tri
     lost = ~np.isin(pairs, len(mesh.faces) * segment + triangle)
-    point = oracle.light_ray(take(make_patches(mesh, eta), tri[lost]), uv[lost], light, eta).point
+    patch, ray, uv = take(make_patches(mesh, eta), tri[lost]), ray[lost], uv[lost]
+    point = oracle.light_ray(patch, uv, light, eta).point
     seen = BoxTree([mesh]).clear(point, np.broadcast_to(light, point.shape), tri[lost])
+    seen &= real(patch, uv, light, eta, o[ray], d[ray], t_max[ray])
     assume(len(pairs) > 0)
     return value[lost][seen].sum() / value.sum(), looked_at / len(np.unique(pairs))

@@ -41,10 +41,11 @@ def sub_triangle(code, level):
 
 
 def refracted(tri, u, v, L, eta):
-    """Position and refracted direction at (u, v) of triangles lit from ``L`` (continued where unlit)."""
+    """Position and refracted direction at (u, v) of triangles lit from ``L`` (continued where unlit), and the square of
+    its cosine, negative under total reflection."""
     P = tri.position(u, v)
-    omega, _, _ = optics.refract_in(dr.normalize(L - P), tri.normal(u, v), eta)
-    return P, omega
+    omega, c_L, _ = optics.refract_in(dr.normalize(L - P), tri.normal(u, v), eta)
+    return P, omega, optics.inside_cosine2(c_L, eta)
 
 
 @dataclass
@@ -70,33 +71,29 @@ class Piece:
 
 
 def refract(tri, light, u0, v0, h):
-    """The light beams ``light`` = (L, eta) makes of parts of triangles.
+    """The light beams that ``light`` = (L, eta) makes of parts of triangles.
 
     ``bend`` bounds how far omega is from linear, in any direction: a quadratic deviates by at most 4/3 of what it
-    does at the edges' middles; 2 leaves room for the cubic part. ``twist`` bounds the same for what is bilinear in
-    position and direction, as g is: 4/3 of |edge| |change| / 4.
+    does at the edges' middles; 2 leaves room for the cubic part. Where the critical angle may be passed, omega has
+    a square root in it: all of c_V may be missed. ``twist`` bounds the same for what is bilinear in position and
+    direction, as g is: 4/3 of |edge| |change| / 4.
     """
-    P, omega = _corners(tri, light, u0, v0, h)
-    bend, twist = mi.Float(0), mi.Float(0)
+    P, omega, c_V2 = zip(*(refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light) for u, v in CORNERS))
+    bend, twist, curved, low, high = (
+        mi.Float(0),
+        mi.Float(0),
+        mi.Float(0),
+        fold(dr.minimum, c_V2),
+        fold(dr.maximum, c_V2),
+    )
     for i, (u, v) in enumerate(MIDDLES):
         j, k = (i + 1) % 3, (i + 2) % 3
-        _, middle = refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light)
+        _, middle, inside = refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light)
         bend = dr.maximum(bend, 2 * dr.norm(middle - 0.5 * (omega[j] + omega[k])))
         twist = dr.maximum(twist, dr.norm(P[j] - P[k]) * dr.norm(omega[j] - omega[k]) / 3)
-    return Piece(P, omega, bend, twist, u0, v0, h)
-
-
-def part(tri, light, whole, code, level):
-    """The part ``code`` (``sub_triangle``) of light beams: bend and twist fall by 4 per level."""
-    u, v, size = sub_triangle(code, level)
-    u0, v0, h = whole.u0 + whole.h * u, whole.v0 + whole.h * v, whole.h * size
-    smaller = dr.rcp(mi.Float(1 << (2 * level)))
-    return Piece(*_corners(tri, light, u0, v0, h), whole.bend * smaller, whole.twist * smaller, u0, v0, h)
-
-
-def _corners(tri, light, u0, v0, h):
-    pairs = [refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light) for u, v in CORNERS]
-    return [P for P, _ in pairs], [omega for _, omega in pairs]
+        curved = dr.maximum(curved, 2 * dr.abs(inside - 0.5 * (c_V2[j] + c_V2[k])))
+    bend = dr.select(low < curved, dr.maximum(bend, dr.safe_sqrt(high + curved)), bend)
+    return Piece(list(P), list(omega), bend, twist, u0, v0, h)
 
 
 def numbers(piece, clear):

@@ -54,7 +54,7 @@ class Beams:
         tri = triangle.gather(self.surface, self.triangle_of(pairs, active), active)
         piece = light_beam.unpack(x)
         if pairs.code is not None:
-            piece = light_beam.part(tri, light, piece, pairs.code, pairs.level)
+            piece = light_beam.refract(tri, light, *pairs.place(piece.u0, piece.v0, piece.h))
         return Taken(tri, piece, x[23], dr.gather(mi.Bool, self.proven_lit, pairs.beam, active))
 
 
@@ -77,12 +77,12 @@ def _levels(tri, light, size, bend):
     Its bend is below ``bend`` times its width (both at the distance ``size``; per level the bend falls by 4, the
     width by 2), and its edges and directions are within ``tolerances.NEAR`` and ``TURN``.
     """
-    P, omega = zip(*(light_beam.refracted(tri, u, v, *light) for u, v in light_beam.CORNERS))
+    P, omega, _ = zip(*(light_beam.refracted(tri, u, v, *light) for u, v in light_beam.CORNERS))
     distance = light_beam.fold(dr.minimum, [dr.norm(light[0] - p) for p in P])
     width, deviation, excess = mi.Float(0), mi.Float(0), mi.Float(0)
     for i, (u, v) in enumerate(light_beam.MIDDLES):
         j, k = (i + 1) % 3, (i + 2) % 3
-        _, middle = light_beam.refracted(tri, u, v, *light)
+        _, middle, _ = light_beam.refracted(tri, u, v, *light)
         deviation = dr.maximum(deviation, size * dr.norm(middle - 0.5 * (omega[j] + omega[k])))
         edge, turn = dr.norm(P[j] - P[k]), dr.norm(omega[j] - omega[k])
         width = dr.maximum(width, edge + size * turn)

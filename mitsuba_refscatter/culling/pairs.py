@@ -7,6 +7,7 @@ import mitsuba as mi
 
 from .. import lanes
 from ..geometry import bvh
+from . import beam
 
 
 @dataclass
@@ -41,6 +42,13 @@ class Pairs:
         parts.tau0 = parts.tau0 + mi.Float(i % n) * step
         parts.tau1 = parts.tau0 + step
         return parts
+
+    def place(self, u0, v0, h):
+        """Corner and signed size (u, v, h) of what is meant, of beams at the place (u0, v0, h) in their triangles."""
+        if self.code is None:
+            return u0, v0, h
+        u, v, size = beam.sub_triangle(self.code, self.level)
+        return u0 + h * u, v0 + h * v, h * size
 
     def share(self):
         """How much of a pair each part counts for: a line meets at most 2^(level + 1) of the 4^level parts."""

@@ -10,7 +10,7 @@ is not a point but a whole camera segment, as in the latter.
 import drjit as dr
 import mitsuba as mi
 
-from .. import tolerances
+from .. import optics, tolerances
 from ..geometry.surface import Surface
 from . import beam as light_beam
 from .pairs import Taken
@@ -62,10 +62,7 @@ class Spindle:
     def take(self, pairs, light, active=True):
         """``Taken``: triangles and light beams for pairs; nothing is proven."""
         _, tri = self.surface.at(pairs.beam, active)
-        if pairs.code is None:
-            place = mi.Float(0), mi.Float(0), mi.Float(1)
-        else:
-            place = light_beam.sub_triangle(pairs.code, pairs.level)
+        place = pairs.place(mi.Float(0), mi.Float(0), mi.Float(1))
         return Taken(tri, light_beam.refract(tri, light, *place), mi.Float(0), mi.Bool(False))
 
 
@@ -88,46 +85,103 @@ def _may_refract(ball, cone, segment, light, eta_above_1):
     (c, r), (axis, sin_n) = ball, cone
     L, eta = light
     to_L, a = L - c, segment.o - c
-    b = a + segment.t_max * segment.d
     near = dr.norm(a + dr.clip(-dr.dot(a, segment.d), 0, segment.t_max) * segment.d)
     d_L = dr.norm(to_L)
-    close = r >= 0.999 * dr.minimum(d_L, near)
     omega_L = to_L / dr.maximum(d_L, 1e-30)
-    sin_L, sin_V = r / dr.maximum(d_L, 1e-30), r / dr.maximum(near, 1e-30)
-    cos_L, cos_V = dr.safe_sqrt(1 - dr.square(sin_L)), dr.safe_sqrt(1 - dr.square(sin_V))
-
-    def largest(w):
-        """Largest cosine between w and the directions from c to the segment."""
-        p, q, A, B = dr.dot(w, a), dr.dot(w, segment.d), dr.squared_norm(a), dr.dot(a, segment.d)
-        slope = p - q * B
-        t = dr.clip((q * A - p * B) / dr.select(slope == 0, 1, slope), 0, segment.t_max)
-        ends = dr.maximum(p * dr.rsqrt(A), dr.dot(w, b) * dr.rsqrt(dr.squared_norm(b)))
-        return dr.maximum(ends, (p + t * q) * dr.rsqrt(A + 2 * B * t + dr.square(t))), t
-
-    # The largest turn acos(k), widened by what P may move both directions.
-    k = dr.minimum(eta, dr.rcp(eta))
-    cosine, sine = k, dr.safe_sqrt(1 - dr.square(k))
-    cosine, sine = cosine * cos_L - sine * sin_L, sine * cos_L + cosine * sin_L
-    cosine, sine = cosine * cos_V - sine * sin_V, sine * cos_V + cosine * sin_V
-    straight, t = largest(-omega_L)
-    possible = (sine <= 0) | (straight >= cosine - tolerances.COSINE)
-
-    # Some normal looks to the light.
-    cos_n = dr.safe_sqrt(1 - dr.square(sin_n))
-    narrow = sin_n < 0.999
-    sine, cosine = sin_n * cos_L + cos_n * sin_L, cos_n * cos_L - sin_n * sin_L
-    possible &= ~narrow | (cosine <= 0) | (dr.dot(axis, omega_L) >= -sine - tolerances.COSINE)
-
-    # Some normal is parallel to -q (eta > 1) or q. A plane through 0 that the cone of normals lies behind: is all of
-    # -q, on the arc that omega_V takes and within rho of it, in front?
+    towards_L, towards_V = _Spread(r / dr.maximum(d_L, 1e-30)), _Spread(r / dr.maximum(near, 1e-30))
+    normals = _Spread(sin_n)
+    straight, t = _largest_cosine(-omega_L, a, segment)
+    possible = _turns_enough(straight, eta, towards_L, towards_V)
+    lit = normals.plus(towards_L)
+    lit = lit.over_90 | (dr.dot(axis, omega_L) >= -lit.sine - tolerances.COSINE)
     sign = 1 if eta_above_1 else -1
-    rho = sin_L * dr.sqrt(2 / (1 + cos_L)) + eta * sin_V * dr.sqrt(2 / (1 + cos_V))
+    parallel = _may_be_normal(omega_L, axis, normals, a, t, segment, eta, sign, towards_L.chord + eta * towards_V.chord)
+    meets = _may_meet(omega_L, axis, towards_L.chord, normals.chord, a, r, segment, eta)
+    possible &= normals.wide | (lit & parallel & meets)
+    return possible | towards_L.wide | towards_V.wide
+
+
+class _Spread:
+    """A cone of directions around an axis, given the sine of its half-angle: the cosine, the longest chord on the unit
+    sphere to the axis, and whether it is so wide that nothing is known."""
+
+    def __init__(self, sine, cosine=None):
+        self.sine, self.cosine = sine, dr.safe_sqrt(1 - dr.square(sine)) if cosine is None else cosine
+        self.wide = sine > WIDE
+        self.chord = sine * dr.sqrt(2 / (1 + self.cosine))
+
+    def plus(self, other):
+        """Both half-angles added, each below 90 degrees."""
+        sine, cosine = (
+            self.sine * other.cosine + self.cosine * other.sine,
+            self.cosine * other.cosine - self.sine * other.sine,
+        )
+        return _Spread(sine, cosine)
+
+    @property
+    def over_90(self):
+        return self.cosine <= 0
+
+
+WIDE = 0.999
+"""Sine of a cone's half-angle that is as good as a half-space."""
+
+
+def _largest_cosine(w, a, segment):
+    """Largest cosine between ``w`` and the directions from a point to the segment, whose origin is at ``a`` from
+    there; and a place t where it is, or near the one."""
+    b = a + segment.t_max * segment.d
+    p, q, A, B = dr.dot(w, a), dr.dot(w, segment.d), dr.squared_norm(a), dr.dot(a, segment.d)
+    slope = p - q * B
+    t = dr.clip((q * A - p * B) / dr.select(slope == 0, 1, slope), 0, segment.t_max)
+    ends = dr.maximum(p * dr.rsqrt(A), dr.dot(w, b) * dr.rsqrt(dr.squared_norm(b)))
+    return dr.maximum(ends, (p + t * q) * dr.rsqrt(A + 2 * B * t + dr.square(t))), t
+
+
+def _turns_enough(straight, eta, towards_L, towards_V):
+    """Whether refraction can turn light as far as to the segment: by at most acos(min(eta, 1 / eta))."""
+    k = dr.minimum(eta, dr.rcp(eta))
+    turn = _Spread(dr.safe_sqrt(1 - dr.square(k)), k).plus(towards_L)
+    sine = turn.sine * towards_V.cosine + turn.cosine * towards_V.sine
+    cosine = turn.cosine * towards_V.cosine - turn.sine * towards_V.sine
+    return (sine <= 0) | (straight >= cosine - tolerances.COSINE)
+
+
+def _may_be_normal(omega_L, axis, normals, a, t, segment, eta, sign, rho):
+    """Whether -q (eta > 1, ``sign`` 1) or q (-1) can be in the cone of normals.
+
+    q = omega_L + eta omega_V, known to ``rho``, moves on an arc. Is all of it in front of a plane through 0 that the
+    cone is behind? Two planes are tried: from the place ``t``, and from the place on the arc nearest to that plane.
+    """
+    possible = mi.Bool(True)
     for _ in range(2):
         omega_V = dr.normalize(a + t * segment.d)
         x = -sign * (omega_L + eta * omega_V)
         side = x - axis * dr.dot(axis, x)
         length = dr.norm(side)
-        m = side * (cos_n / dr.maximum(length, 1e-30)) - axis * sin_n
-        most, t = largest(sign * m)
-        possible &= ~narrow | (length < 1e-6) | (-sign * dr.dot(omega_L, m) - eta * most <= rho + tolerances.COSINE)
-    return possible | close
+        m = side * (normals.cosine / dr.maximum(length, 1e-30)) - axis * normals.sine
+        most, t = _largest_cosine(sign * m, a, segment)
+        in_front = -sign * dr.dot(omega_L, m) - eta * most > rho + tolerances.COSINE
+        possible &= ~in_front | (length < tolerances.COSINE)
+    return possible
+
+
+def _may_meet(omega_L, axis, eps_L, eps_n, a, r, segment, eta):
+    """Whether the refracted light can meet the line of the segment: |g| against how much it can change in the ball.
+
+    omega = -omega_L / eta + n b, b = c_L / eta - c_V, where b is monotone in c_L.
+    """
+
+    def b(c_L):
+        return c_L / eta - dr.safe_sqrt(optics.inside_cosine2(c_L, eta))
+
+    least = dr.safe_sqrt(1 - dr.square(eta))  # the critical angle
+    cosine = dr.dot(omega_L, axis)
+    b_0, b_1, b_2 = (b(dr.clip(cosine + x, least, 1)) for x in (0, -eps_L - eps_n, eps_L + eps_n))
+    omega = axis * b_0 - omega_L / eta
+    change = (
+        eps_L / eta + dr.maximum(dr.abs(b_1), dr.abs(b_2)) * eps_n + dr.maximum(dr.abs(b_1 - b_0), dr.abs(b_2 - b_0))
+    )
+    k = -dr.cross(a, segment.d)
+    reach = dr.norm(k) * change + r * (dr.norm(dr.cross(segment.d, omega)) + change)
+    return dr.abs(dr.dot(k, omega)) <= reach + tolerances.COSINE * dr.norm(a)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import drjit as dr
 
-from .. import tolerances
+from .. import optics, tolerances
 from ..culling import beam
 
 
@@ -75,7 +75,7 @@ def limits_at(point, t, s, tri, segment, lighting):
     the facet inside, and where light may be totally reflected the square of the refracted ray's cosine."""
     limits = [t, segment.t_max - t, s, point.c_L, -dr.dot(point.omega, tri.Ng)]
     if lighting.total_reflection:
-        limits.append(1 - (1 - dr.square(point.c_L)) / dr.square(lighting.eta))
+        limits.append(optics.inside_cosine2(point.c_L, lighting.eta))
     return limits
 
 
@@ -96,5 +96,4 @@ def _corner_limits(piece, tri, lighting, segment):
 
 def _inside_cosine2(tri, lighting, uv):
     """Square of the refracted ray's cosine; negative where light is totally reflected."""
-    c_L = dr.dot(dr.normalize(lighting.L - tri.position(uv.x, uv.y)), tri.normal(uv.x, uv.y))
-    return 1 - (1 - dr.square(c_L)) / dr.square(lighting.eta)
+    return beam.refracted(tri, uv.x, uv.y, *lighting.light)[2]

@@ -85,7 +85,7 @@ class _Curves:
         """The curve's point at tau: Newton's method for t and the position on the ray from M."""
         D, segment = self.chord.direction(tau), self.segment
         uv = self.chord.M + D
-        P, omega = light_beam.refracted(self.tri, uv.x, uv.y, *self.light)
+        P, omega, _ = light_beam.refracted(self.tri, uv.x, uv.y, *self.light)
         t, s = meeting(P, omega, segment)
         # t in units of what it changes by per unit of the ray, roughly: as much as P moves.
         unit = dr.norm(self.tri.P_u * D.x + self.tri.P_v * D.y)
@@ -190,5 +190,4 @@ def _sample(sums, pairs, a, b, exists, segments, culling, lighting, accuracy):
     _, total, contributes, found = dr.while_loop(state, lambda i, *_: i < n, sample, label="samples", mode="symbolic")
     # Next to a fold, or where a whole curve has nearly the same t, samples fail: t is not known to enough digits.
     sums.add(pairs, total, contributes, resolved=2 * found >= n)
-
     sums.eval()
