@@ -63,11 +63,14 @@ ROOT_LONGEST = 1.0
 ROOT_ITERATIONS = 16
 """Most evaluations of the constraint for one root; 2 to 3 are usual."""
 
-ROOT_PARALLEL = 1e-8
+ROOT_PARALLEL = 1e-12
 """sin^2 of the angle between the Jacobian's columns below which it is singular: its rounding in float32."""
 
 ROOT_ROUNDING = 1e-6
 """Size of q x n at a root that is rounding, several times over."""
+
+DOUBLE_STEPS = 3
+"""Steps in double precision behind a root in a part of a triangle: from float32's 1e-3 next to a fold to 1e-12."""
 
 MOMENT = 1e-6
 """Rounding of (V - P) x omega in float32 relative to |V - P|, several times over."""

@@ -74,7 +74,7 @@ class _Curves:
     def __init__(self, pairs, segments, culling, lighting):
         self.segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
         taken = culling.take(pairs, lighting.light)
-        self.tri, self.light = taken.tri, lighting.light
+        self.tri, self.lighting = taken.tri, lighting
         self.chord, limits = chord_of(taken.piece, self.tri, lighting, self.segment)
         # Of the limits those of the segment's own ends are taken later, exactly.
         self.start, self.stop = positive_part(limits[3:])
@@ -85,7 +85,7 @@ class _Curves:
         """The curve's point at tau: Newton's method for t and the position on the ray from M."""
         D, segment = self.chord.direction(tau), self.segment
         uv = self.chord.M + D
-        P, omega, _ = light_beam.refracted(self.tri, uv.x, uv.y, *self.light)
+        P, omega, _ = light_beam.refracted(self.tri, uv.x, uv.y, *self.lighting.light)
         t, s = meeting(P, omega, segment)
         # t in units of what it changes by per unit of the ray, roughly: as much as P moves.
         unit = dr.norm(self.tri.P_u * D.x + self.tri.P_v * D.y)
@@ -93,7 +93,7 @@ class _Curves:
         def system(x, lam):
             uv = self.chord.M + lam * D
             V = segment.o + (t + x * unit) * segment.d
-            c = connect(self.tri, self.light, V, segment.d, uv.x, uv.y).cross()
+            c = self._residual(V, uv)
             return c.value, c.by_t * unit, c.by_u * D.x + c.by_v * D.y
 
         solution = newton.solve(
@@ -104,10 +104,13 @@ class _Curves:
         )
         x, lam = (dr.select(solution.converged, a, b) for a, b in zip(solution.x, (0, 1)))
         uv, t = self.chord.M + lam * D, t + x * unit
-        c = connect(self.tri, self.light, segment.o + t * segment.d, segment.d, uv.x, uv.y).cross()
-        tangent = c.tangent()
+        tangent = self._residual(segment.o + t * segment.d, uv).tangent()
         forward = tangent.y * self.along.x + tangent.z * self.along.y
         return _End(uv, t, tangent.x * dr.squared_norm(self.along) / dr.select(forward == 0, 1, forward))
+
+    def _residual(self, V, uv):
+        path = connect(self.tri, self.lighting.light, V, self.segment.d, uv.x, uv.y)
+        return path.residual(self.lighting.straight)
 
     def fold(self, start, end):
         """Where t turns back between two points at which its slopes differ in sign: regula falsi for the slope."""
@@ -169,11 +172,11 @@ def _sample(sums, pairs, a, b, exists, segments, culling, lighting, accuracy):
         t = span.t(x)
         start = (a.uv + x * along - mi.Point2f(piece.u0, piece.v0)) / piece.h
         V = segment.o + t * segment.d
-        solution = point_form.root(taken, lighting.light, V, segment.d, start, tolerances.OUTSIDE, exists)
+        solution = point_form.root(taken, lighting, V, segment.d, start, tolerances.OUTSIDE, exists)
         u, v = piece.u0 + piece.h * solution.x[0], piece.v0 + piece.h * solution.x[1]
         path = connect(taken.tri, lighting.light, V, segment.d, u, v)
         # The other side of a fold has a root at the same t.
-        tangent = path.cross().tangent()
+        tangent = path.residual(lighting.straight).tangent()
         same_side = tangent.x * (tangent.y * along.x + tangent.z * along.y) * forward > 0
         active = exists & solution.converged & same_side
         found += dr.select(active, 1, 0)

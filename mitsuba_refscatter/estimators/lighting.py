@@ -13,14 +13,14 @@ class Lighting:
     """What an estimator knows of light and body besides the triangles.
 
     ``L``: position of the light (Point3f, body coordinates), one for all camera segments or one for each; ``eta``;
-    ``total_reflection``: whether eta < 1; ``g``: asymmetry of Henyey-Greenstein or None for isotropic;
+    ``side``: the sign of eta - 1 (kernels differ); ``g``: asymmetry of Henyey-Greenstein or None for isotropic;
     ``lit(P, Ng, L, active)``, ``inside(P, Ng, direction, length, active)``: visibility tests, or None where nothing
     can be in the way.
     """
 
     L: object
     eta: object
-    total_reflection: bool
+    side: int
     g: object
     lit: object
     inside: object
@@ -33,6 +33,14 @@ class Lighting:
     def light(self):
         """``(L, eta)``: what decides how light is refracted."""
         return self.L, self.eta
+
+    @property
+    def total_reflection(self):
+        return self.side < 0
+
+    @property
+    def straight(self):
+        return self.side == 0
 
     @property
     def shadowless(self):

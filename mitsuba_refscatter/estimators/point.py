@@ -78,7 +78,7 @@ def classify(piece, segment):
     return light_beam.Zeros(possible, possible, [*areas, area], bound, nonlinearity)
 
 
-def roots(pairs, taken, segment, light):
+def roots(pairs, taken, segment, lighting):
     """The root of each pair's light beam for V = the segment's origin: ``(solution, path, valid)``, at most one.
 
     ``path``: the ``Connection`` at the root; ``valid``: whether there is one, inside the beam's own triangle.
@@ -87,12 +87,16 @@ def roots(pairs, taken, segment, light):
     area = dr.select(zeros.g[3] == 0, 1, zeros.g[3])
     start = mi.Vector2f(dr.clip(zeros.g[1] / area, 0, 1), dr.clip(zeros.g[2] / area, 0, 1))
     start /= dr.maximum(1, start.x + start.y)
-    solution = point_form.root(taken, light, segment.o, segment.d, start, tolerances.OUTSIDE)
-    (a, b), piece, tri = solution.x, taken.piece, taken.tri
-    path = connect(tri, light, segment.o, segment.d, piece.u0 + piece.h * a, piece.v0 + piece.h * b)
+    solution = point_form.root(taken, lighting, segment.o, segment.d, start, tolerances.OUTSIDE)
+    piece, tri, (a, b) = taken.piece, taken.tri, solution.x
+    if pairs.code is not None:
+        a, b = point_form.in_double(taken, lighting, segment.o, segment.d, solution.x)
     # A root on the edge between two parts of a triangle belongs to one of them: the middle ones (h < 0) are open
     # where the others are closed.
     inside = dr.select(piece.h > 0, (a >= 0) & (b >= 0) & (a + b < 1), (a > 0) & (b > 0) & (a + b <= 1))
+    solution.x = mi.Float(a), mi.Float(b)
+    u, v = piece.u0 + piece.h * solution.x[0], piece.v0 + piece.h * solution.x[1]
+    path = connect(tri, lighting.light, segment.o, segment.d, u, v)
     return solution, path, solution.converged & inside & point_form.refracts(path, tri)
 
 
@@ -101,7 +105,7 @@ def accumulate(sums, pairs, segments, culling, lighting, accuracy):
     segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
     taken = culling.take(pairs, lighting.light)
     tri = taken.tri
-    solution, path, active = roots(pairs, taken, segment, lighting.light)
+    solution, path, active = roots(pairs, taken, segment, lighting)
     active = lighting.visible(path.P, tri.Ng, path.omega_V, path.s, taken, active)
     value = point_form.in_scattered(path, tri, segment.d, lighting, segments.sigma_t_of(pairs.segment))
     finite = dr.all(dr.isfinite(value))

@@ -6,6 +6,8 @@ term per root P of the constraint for V = o + t d:
     dL/dt = sigma_s p I (1 - F) eta^2 / D  exp(-sigma_t (t + s))  V(P, L) V(P, V)
 """
 
+from dataclasses import replace
+
 import drjit as dr
 
 from .. import optics, tolerances
@@ -21,20 +23,46 @@ NEWTON = newton.Limits(
 )
 
 
-def root(taken, light, V, d, start, margin, active=True):
-    """Newton's method for P at fixed V, from ``start`` (Vector2f, in the piece's own coordinates: its corners are
-    (0, 0), (1, 0), (0, 1)). Roots farther than ``margin`` outside the piece are not taken. Returns the
-    ``newton.Solution``; its unknowns are in the piece's coordinates."""
-    tri, piece = taken.tri, taken.piece
+def _system(tri, piece, lighting, V, d):
+    """The constraint at fixed V as a function of the place in a piece, whose corners are (0, 0), (1, 0), (0, 1)."""
+
+    length = dr.maximum(dr.norm(V - piece.P[0]), dr.maximum(dr.norm(V - piece.P[1]), dr.norm(V - piece.P[2])))
 
     def system(a, b):
-        c = connect(tri, light, V, d, piece.u0 + piece.h * a, piece.v0 + piece.h * b).cross()
+        path = connect(tri, lighting.light, V, d, piece.u0 + piece.h * a, piece.v0 + piece.h * b)
+        c = path.residual(lighting.straight, length)
         return c.value, c.by_u * piece.h, c.by_v * piece.h
+
+    return system
+
+
+def root(taken, lighting, V, d, start, margin, active=True):
+    """Newton's method for P at fixed V, from ``start`` (Vector2f, place in the piece).
+
+    Roots farther than ``margin`` outside the piece are not taken. Returns the ``newton.Solution``; its unknowns are
+    the place in the piece.
+    """
 
     def domain(a, b):
         return (a >= -margin) & (b >= -margin) & (a + b <= 1 + margin)
 
+    system = _system(taken.tri, taken.piece, lighting, V, d)
     return newton.solve(system, (start.x, start.y), domain, NEWTON, active)
+
+
+def in_double(taken, lighting, V, d, x):
+    """The place ``x`` of a root, improved in double precision: next to a fold it is then known well enough to say in
+    which of two neighbouring pieces the root lies."""
+    tri, piece = (type(y)(**{k: _double(v) for k, v in vars(y).items()}) for y in (taken.tri, taken.piece))
+    exact = replace(lighting, L=_double(lighting.L), eta=_double(lighting.eta))
+    system = _system(tri, piece, exact, _double(V), _double(d))
+    return newton.improve(system, tuple(_double(y) for y in x), tolerances.DOUBLE_STEPS, tolerances.ROOT_LONGEST)
+
+
+def _double(x):
+    if isinstance(x, list):
+        return [_double(y) for y in x]
+    return dr.float64_array_t(type(x))(x)
 
 
 def refracts(path, tri):

@@ -139,7 +139,8 @@ class Prepared:
         if key not in self._lights:
             L = dr.opaque(mi.Point3f, [float(x) for x in light.position - body.centre])
             shadows = visibility.Shadows(self.scene, body, light.position, L)
-            lighting = Lighting(L, dr.opaque(mi.Float, body.eta), body.eta < 1, body.g, shadows.lit, shadows.inside)
+            side = (body.eta > 1) - (body.eta < 1)
+            lighting = Lighting(L, dr.opaque(mi.Float, body.eta), side, body.g, shadows.lit, shadows.inside)
             self._lights[key] = lighting, self._culling(body, L, shadows)
         return self._lights[key]
 

@@ -7,8 +7,8 @@ surface. Two residuals of this, each given together with its 3 x 3 Jacobian by (
     half_vector:  f = sign(eta - 1) q / |q| + n     (Walter et al. 2009, eq. 6; Holzschuch 2015, eq. 4)
     cross:        q x n
 
-The first excludes paths that are reflected; it loses digits as eta goes to 1, where |q| goes to |eta - 1|. The second
-holds for every eta, 1 included. In both omega_V points into the body on the line through P and V, so that a root may
+The first is the published one; it loses digits as eta goes to 1, where |q| goes to |eta - 1|. The second holds for every
+eta. At eta = 1, where q itself is 0 and normals play no part, q is a third residual, better at grazing incidence. In all omega_V points into the body on the line through P and V, so that a root may
 also have V behind P (s < 0): callers test ``s``.
 """
 
@@ -25,6 +25,11 @@ class Residual:
     by_t: object
     by_u: object
     by_v: object
+
+    def times(self, f, f_t, f_u, f_v):
+        """The residual times a function, given with its derivatives."""
+        parts = ((self.by_t, f_t), (self.by_u, f_u), (self.by_v, f_v))
+        return Residual(self.value * f, *(by * f + self.value * f_x for by, f_x in parts))
 
     def tangent(self):
         """A vector along the curve residual = 0 in (t, u, v), of any length and sign.
@@ -60,6 +65,9 @@ class Connection:
     q_v: object
     n_u: object
     n_v: object
+    s_t: object
+    s_u: object
+    s_v: object
 
     def cross(self):
         """``Residual`` q x n."""
@@ -67,6 +75,16 @@ class Connection:
             dr.cross(self.q, self.n), dr.cross(self.q_t, self.n),
             dr.cross(self.q_u, self.n) + dr.cross(self.q, self.n_u), dr.cross(self.q_v, self.n) + dr.cross(self.q, self.n_v),
         )  # fmt: skip
+
+    def residual(self, straight, length=None):
+        """``Residual`` for Newton's method: q if eta is 1 (``straight``), else q x n.
+
+        Times s / ``length`` where that is given: continuous where P passes V, so that V may lie next to the surface.
+        """
+        c = Residual(self.q, self.q_t, self.q_u, self.q_v) if straight else self.cross()
+        return (
+            c if length is None else c.times(self.s / length, self.s_t / length, self.s_u / length, self.s_v / length)
+        )
 
     def half_vector(self, sign):
         """``Residual`` f; ``sign`` is 1 for eta > 1 and -1 for eta < 1."""
@@ -108,6 +126,21 @@ def connect(tri, light, V, d, u, v):
         return (move - omega * dr.dot(omega, move)) / distance
 
     q_u, q_v = (-turn(omega_L, P_x, d_L) - eta * turn(omega_V, P_x, s) for P_x in (tri.P_u, tri.P_v))
+    s_t, s_u, s_v = dr.dot(omega_V, d), -dr.dot(omega_V, tri.P_u), -dr.dot(omega_V, tri.P_v)
     return Connection(
-        P, n, omega_L, d_L, omega_V, s, omega_L + eta * omega_V, eta * turn(omega_V, d, s), q_u, q_v, n_u, n_v
+        P,
+        n,
+        omega_L,
+        d_L,
+        omega_V,
+        s,
+        omega_L + eta * omega_V,
+        eta * turn(omega_V, d, s),
+        q_u,
+        q_v,
+        n_u,
+        n_v,
+        s_t,
+        s_u,
+        s_v,
     )

@@ -84,24 +84,39 @@ def solve(system, x, domain, limits, active=True):
     return Solution((x0, x1), dr.select(verdict == _GO_ON, int(Status.OUT_OF_ITERATIONS), verdict), count)
 
 
+def improve(system, x, steps, longest):
+    """``x`` after that many steps, none longer than ``longest``, taken without looking back: for a root that is near."""
+    for _ in range(steps):
+        s, length, _ = _step(*system(*x), 0)
+        shorter = dr.minimum(1, longest / dr.maximum(length, 1e-30))
+        x = tuple(a + shorter * b for a, b in zip(x, s))
+    return x
+
+
 _GO_ON = 99
 """No status yet."""
+
+
+def _step(r, c0, c1, parallel):
+    """The step of the pseudo-inverse, its length, and whether the columns are parallel."""
+    # (J^T J)^-1 J^T by cross products: |c0 x c1|^2 = det J^T J keeps its digits where the columns are nearly parallel.
+    across = dr.cross(c0, c1)
+    det = dr.squared_norm(across)
+    singular = det <= parallel * dr.squared_norm(c0) * dr.squared_norm(c1)
+    scale = -dr.rcp(dr.select(singular, 1, det))
+    s = dr.dot(across, dr.cross(r, c1)) * scale, dr.dot(across, dr.cross(c0, r)) * scale
+    return s, dr.sqrt(dr.square(s[0]) + dr.square(s[1])), singular
 
 
 def _judge(r, c0, c1, limits):
     """Square of the residual, the next step, and the status that it ends with (or ``_GO_ON``)."""
     UInt32 = dr.uint32_array_t(type(r.x))
-    a, b, c = dr.squared_norm(c0), dr.dot(c0, c1), dr.squared_norm(c1)
-    g0, g1 = dr.dot(c0, r), dr.dot(c1, r)
-    det = a * c - dr.square(b)
-    singular = det <= limits.parallel * a * c
-    scale = -dr.rcp(dr.select(singular, 1, det))
-    s0, s1 = (c * g0 - b * g1) * scale, (a * g1 - b * g0) * scale
-    length = dr.sqrt(dr.square(s0) + dr.square(s1))
+    (s0, s1), length, singular = _step(r, c0, c1, limits.parallel)
     size2 = dr.squared_norm(r)
     # A root, not a place where the residual is smallest: the step takes all of it away.
     left = dr.norm(r + s0 * c0 + s1 * c1)
-    found = (length < limits.step) & (left <= limits.step * dr.sqrt(dr.maximum(a, c)) + limits.rounding)
+    most = limits.step * dr.sqrt(dr.maximum(dr.squared_norm(c0), dr.squared_norm(c1))) + limits.rounding
+    found = (length < limits.step) & (left <= most)
     verdict = dr.select(found, UInt32(int(Status.CONVERGED)), UInt32(_GO_ON))
     verdict = dr.select(singular, int(Status.SINGULAR), verdict)
     verdict = dr.select(dr.isfinite(size2) & dr.isfinite(length), verdict, int(Status.NON_FINITE))
