@@ -1,4 +1,4 @@
-"""The command ``refscatter``: render, check, scenes.
+"""The command ``refscatter``: render, check, scenes, scaling, convergence.
 
 Errors are one sentence on stderr and exit code 1 (usage: 2, Ctrl-C: 130).
 """
@@ -18,8 +18,10 @@ from rich.table import Table
 
 from . import meshcheck, output, platform
 from . import scenes as scene_files
+from .compare import convergence as convergence_runs
 from .compare import results
-from .compare import scaling as measure
+from .compare import scaling as scaling_runs
+from .compare.methods import METHODS
 
 app = typer.Typer(
     add_completion=False,
@@ -250,7 +252,7 @@ def scaling(
         None, "-o", "--output", help="Directory for results.json. [default: print only]"
     ),
     triangles: list[int] = typer.Option(
-        list(measure.SIZES), "--triangles", min=1, help="Triangles of the body; repeatable."
+        list(scaling_runs.SIZES), "--triangles", min=1, help="Triangles of the body; repeatable."
     ),
     scene: str = typer.Option("bumpy_sphere", "--scene", help="One of the scenes made by code."),
     resolution: int = typer.Option(256, "--resolution", min=1, help="Pixels on a side."),
@@ -258,33 +260,86 @@ def scaling(
     bounces: int = typer.Option(
         0, "--internal-bounces", min=0, help="Of refscatter; volpath has none in this comparison."
     ),
+    methods: List[str] = typer.Option(  # noqa: UP006
+        list(METHODS), "--method", help="Method to compare with volpath; repeatable."
+    ),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
 ):
     """Measure cost against the number of triangles, in samples of volpath on the same machine in the same run."""
+    for name in methods:
+        if name not in METHODS:
+            raise typer.BadParameter(
+                f"there is no method '{name}': known are {', '.join(METHODS)}", param_hint="--method"
+            )
+    variant = _measurable(variant, directory)
+    table = _table("triangles", "method", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray",
+                   "contributing/ray", "peak MiB")  # fmt: skip
+
+    def add(rows):
+        for row in rows[:-1]:
+            memory = row["peak_memory_bytes"]
+            table.add_row(
+                str(row["triangles"]), row["method"], f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
+                f"{row['volpath_samples_of_same_wall_time']:.0f}", f"{row['volpath_samples_of_same_cpu_time']:.0f}",
+                f"{row['candidates_per_ray']:.0f}", f"{row['contributing_per_ray']:.0f}",
+                "" if memory is None else f"{memory / 2**20:.0f}",
+            )  # fmt: skip
+        err.print(f"{rows[0]['triangles']} triangles done")
+
+    rows = scaling_runs.run(triangles, add, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces,
+                            methods=tuple(methods), variant=variant)  # fmt: skip
+    out.print(table)
+    if directory is not None:
+        out.print(str(results.write(directory, rows)), markup=False)
+
+
+@app.command()
+@_plainly
+def convergence(
+    directory: Path = typer.Option(..., "-o", "--output", help="Directory for convergence.png and results.json."),
+    scenes: List[str] = typer.Option(  # noqa: UP006
+        list(convergence_runs.SCENES), "--scene", help="One of the scenes made by code; repeatable."
+    ),
+    resolution: int = typer.Option(32, "--resolution", min=1, help="Pixels on a side."),
+    most: int = typer.Option(4096, "--most", min=1, help="Largest number of samples."),
+    culling: str = typer.Option("spindle", "--culling", help="Culling of the estimators interval and point."),
+    variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
+):
+    """Plot how the estimators interval and point come to what the curve finds as their samples grow."""
+    variant = _measurable(variant, directory)
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise Failure("the plot needs matplotlib: pip install 'mitsuba_refscatter[compare]'") from error
+    table, rows = _table("scene", "estimator", "samples", "L1 difference", "bias", "wall s"), []
+
+    def add(row):
+        table.add_row(row["scene"], row["method"], str(row["samples"]), f"{row['mean_relative_error']:.1e}",
+                      f"{row['bias']:+.1e}", f"{row['wall_seconds']:.2f}")  # fmt: skip
+        err.print(f"{row['scene']}, {row['method']}, {row['samples']} samples done")
+
+    for name in scenes:
+        rows += convergence_runs.run(name, most, add, variant=variant, resolution=resolution, culling=culling)
+    out.print(table)
+    picture = directory / "convergence.png"
+    output.write_file(picture, lambda unfinished: convergence_runs.plot(rows, unfinished))
+    out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)
+
+
+def _measurable(variant: Optional[str], directory: Optional[Path]) -> str:
+    """The variant to measure in, once it is certain that it runs and that results can be written."""
     variant = variant or platform.default_variant()
     platform.require_usable(variant)
     if directory is not None:
         output.directory(directory)
+    return variant
+
+
+def _table(*headings: str) -> Table:
     table = Table(box=None, pad_edge=False)
-    for heading in ("triangles", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray", "contributing/ray",
-                    "peak MiB"):  # fmt: skip
-        table.add_column(heading, justify="right")
-
-    def add(rows):
-        row = rows[0]
-        table.add_row(
-            str(row["triangles"]), f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
-            f"{row['volpath_samples_of_same_wall_time']:.0f}", f"{row['volpath_samples_of_same_cpu_time']:.0f}",
-            f"{row['candidates_per_ray']:.0f}", f"{row['contributing_per_ray']:.0f}", f"{row['peak_memory_bytes'] / 2**20:.0f}",
-        )  # fmt: skip
-        err.print(f"{row['triangles']} triangles done")
-
-    rows = measure.run(
-        triangles, add, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces, variant=variant
-    )
-    out.print(table)
-    if directory is not None:
-        out.print(str(results.write(directory, rows)), markup=False)
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in ("method", "scene", "estimator") else "right")
+    return table
 
 
 def main() -> None:

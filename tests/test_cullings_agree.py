@@ -8,7 +8,7 @@ import pytest
 import soup
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from meshes import BoxTree, bumpy_sphere, make_patches, norm, take
+from meshes import BoxTree, bumpy_sphere, make_patches, take
 from pairs import chords, one_body
 from test_culling import random_case
 

@@ -93,11 +93,14 @@ def test_statuses(rgb):
     assert statuses(run(circle_and_line, 30.0, -40.0, limits=Limits(1e-4, 0.1, 5, 1e-8, 1e-7))) == [
         Status.OUT_OF_ITERATIONS
     ]
-    root = lambda a, b: (
-        vector(dr.sqrt(a), b, 0 * a),
-        vector(0.5 / dr.sqrt(a), 0 * a, 0 * a),
-        vector(0 * a, 1 + 0 * a, 0 * a),
-    )  # noqa: E731
+
+    def root(a, b):
+        return (
+            vector(dr.sqrt(a), b, 0 * a),
+            vector(0.5 / dr.sqrt(a), 0 * a, 0 * a),
+            vector(0 * a, 1 + 0 * a, 0 * a),
+        )
+
     assert statuses(run(root, -1.0, 0.0)) == [Status.NON_FINITE]
 
 

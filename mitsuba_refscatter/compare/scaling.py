@@ -1,6 +1,6 @@
 """``refscatter scaling``: cost against the number of triangles, in samples of ``volpath``.
 
-Each size runs in a process of its own, so that peak memory is its own. In that process both methods render the
+Each size runs in a process of its own, so that peak memory is its own. In that process all methods render the
 same body, view and size of image, once to compile and then ``repeats`` times in turn; medians are reported.
 """
 
@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 
 from .. import scenes as scene_files
 from . import results
+from .methods import METHODS
 
 SIZES = (1280, 5120, 20480, 81920, 327680)
 LIGHT_RADIUS = 0.1
@@ -22,7 +23,7 @@ LIGHT_RADIUS = 0.1
 
 @dataclass(frozen=True)
 class Setup:
-    """One measurement. ``settings``: properties of ``refscatter``; ``samples``: per pixel, of ``volpath``."""
+    """One measurement: ``methods`` of ours against ``volpath`` with ``samples`` per pixel."""
 
     scene: str = "bumpy_sphere"
     triangles: int = 20480
@@ -32,13 +33,15 @@ class Setup:
     repeats: int = 3
     internal_bounces: int = 0
     tolerance: float = 0.01
+    methods: tuple = tuple(METHODS)
 
-    def settings(self):
-        return {"surfaces": False, "internal_bounces": self.internal_bounces, "tolerance": self.tolerance}
+    def settings(self, method):
+        common = {"surfaces": False, "internal_bounces": self.internal_bounces, "tolerance": self.tolerance}
+        return {**common, **METHODS[method]}
 
 
 def measure(setup):
-    """Measures one size in this process; returns a row of results for ``refscatter`` and one for ``volpath``."""
+    """Measures one size in this process; returns a row of results for each method, ``volpath`` last."""
     import mitsuba as mi
 
     mi.set_variant(setup.variant)
@@ -47,35 +50,41 @@ def measure(setup):
     with tempfile.TemporaryDirectory() as directory:
         path, triangles = scene_files.write_scene(setup.scene, directory, setup.triangles)
         scene = mi.load_file(str(path), optimize=False, res=str(setup.resolution))
-    candidates, contributions, rays = _pairs(scene, setup)
-    integrator, reference = mi.load_dict({"type": "refscatter", **setup.settings()}), _volpath_scene(scene)
-    render = {
-        "refscatter": lambda: integrator.render(scene, spp=1),
-        "volpath": lambda: reference.integrator().render(reference, spp=setup.samples),
-    }
-    render["refscatter"]()  # compiles; the peak memory of volpath is not ours
-    render["refscatter"]()
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    rows, render = [], {}
+    for method in setup.methods:
+        settings = setup.settings(method)
+        integrator = mi.load_dict({"type": "refscatter", **settings})
+        render[method] = lambda integrator=integrator: integrator.render(scene, spp=1)
+        render[method]()
+        # The first method's peak is its own; the others' are hidden behind it.
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 if not rows else None
+        candidates, contributions, rays = _pairs(scene, settings)
+        rows.append(_row(setup, triangles, method, settings, 1, rays=rays, candidates_per_ray=candidates / rays,
+                         contributing_per_ray=contributions / rays, peak_memory_bytes=memory))  # fmt: skip
+    reference = _volpath_scene(scene)
+    render["volpath"] = lambda: reference.integrator().render(reference, spp=setup.samples)
     render["volpath"]()
+    rows.append(_row(setup, triangles, "volpath", {"max_depth": 4, "light_radius": LIGHT_RADIUS}, setup.samples))
     times = {method: [] for method in render}
     for _ in range(setup.repeats):
         for method, work in render.items():
             times[method].append(_clock(work))
-    rows = []
-    for method, samples in (("refscatter", 1), ("volpath", setup.samples)):
-        wall, cpu = (statistics.median(x) for x in zip(*times[method]))
-        settings = setup.settings() if method == "refscatter" else {"max_depth": 4, "light_radius": LIGHT_RADIUS}
-        rows.append(results.row(
-            scene=setup.scene, method=method, variant=setup.variant, triangles=triangles,
-            settings={**settings, "resolution": setup.resolution}, wall_seconds=wall, cpu_seconds=cpu, samples=samples,
-        ))  # fmt: skip
-    ours, theirs = rows
-    ours.update(
-        volpath_samples_of_same_wall_time=ours["wall_seconds"] / theirs["wall_seconds"] * setup.samples,
-        volpath_samples_of_same_cpu_time=ours["cpu_seconds"] / theirs["cpu_seconds"] * setup.samples,
-        rays=rays, candidates_per_ray=candidates / rays, contributing_per_ray=contributions / rays, peak_memory_bytes=memory,
-    )  # fmt: skip
+    for row in rows:
+        row["wall_seconds"], row["cpu_seconds"] = (statistics.median(x) for x in zip(*times[row["method"]]))
+    volpath = rows[-1]
+    for row in rows[:-1]:
+        for kind in ("wall", "cpu"):
+            ratio = row[f"{kind}_seconds"] / volpath[f"{kind}_seconds"]
+            row[f"volpath_samples_of_same_{kind}_time"] = ratio * setup.samples
     return rows
+
+
+def _row(setup, triangles, method, settings, samples, **more):
+    return {
+        **results.row(scene=setup.scene, method=method, variant=setup.variant, triangles=triangles,
+                      settings={**settings, "resolution": setup.resolution}, samples=samples),
+        **more,
+    }  # fmt: skip
 
 
 def run(sizes, report=lambda rows: None, **setup):
@@ -89,12 +98,12 @@ def run(sizes, report=lambda rows: None, **setup):
     return rows
 
 
-def _pairs(scene, setup):
+def _pairs(scene, settings):
     """Sums of candidate and of contributing pairs over the image, and the rays that enter the body."""
     import mitsuba as mi
     import numpy as np
 
-    integrator = mi.load_dict({"type": "refscatter", "aovs": "candidates,contributions", **setup.settings()})
+    integrator = mi.load_dict({"type": "refscatter", "aovs": "candidates,contributions", **settings})
     image = np.array(integrator.render(scene, spp=1), dtype=np.float64)
     return image[..., -2].sum(), image[..., -1].sum(), max(integrator.counts.segments, 1)
 

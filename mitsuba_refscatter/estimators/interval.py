@@ -190,7 +190,8 @@ def _sample(sums, pairs, a, b, exists, segments, culling, lighting, accuracy):
     width = len(pairs)
     nothing = dr.zeros(mi.UInt32, width)
     state = (nothing, dr.zeros(mi.Spectrum, width), dr.zeros(mi.Bool, width), dr.zeros(mi.UInt32, width))
-    _, total, contributes, found = dr.while_loop(state, lambda i, *_: i < n, sample, label="samples", mode="symbolic")
+    end = dr.while_loop(state, lambda i, *_: i < n, sample, label="samples", mode="symbolic")
+    total, contributes, found = end[1], end[2], end[3]
     # Next to a fold, or where a whole curve has nearly the same t, samples fail: t is not known to enough digits.
     sums.add(pairs, total, contributes, resolved=2 * found >= n)
     sums.eval()

@@ -80,8 +80,10 @@ def solve(system, x, domain, limits, active=True):
         going &= (verdict == _GO_ON) & (count < limits.iterations)
         return x0, x1, s0, s1, size2, verdict, count, going
 
-    x0, x1, _, _, _, verdict, count, _ = dr.while_loop(state, lambda *s: s[-1], body, label="newton", mode="symbolic")
-    return Solution((x0, x1), dr.select(verdict == _GO_ON, int(Status.OUT_OF_ITERATIONS), verdict), count)
+    end = dr.while_loop(state, lambda *s: s[-1], body, label="newton", mode="symbolic")
+    verdict, count = end[5], end[6]
+    status = dr.select(verdict == _GO_ON, int(Status.OUT_OF_ITERATIONS), verdict)
+    return Solution((end[0], end[1]), status, count)
 
 
 def improve(system, x, steps, longest):

@@ -1,0 +1,8 @@
+"""The methods of the literature as combinations of estimator and culling, under the names that comparisons use."""
+
+METHODS = {
+    "refscatter": {},
+    "holzschuch2015": {"estimator": "interval", "culling": "spindle", "samples": 1},
+    "walter2009": {"estimator": "point", "culling": "spindle", "samples": 16},
+}
+"""Properties of the integrator; those left out are as the user, or the default, has them."""
