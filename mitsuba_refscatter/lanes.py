@@ -2,16 +2,38 @@
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+
+
+def array(kind, values):
+    """Numbers (a list or NumPy array) as a Dr.Jit array with memory of its own.
+
+    ``kind(values)`` may share NumPy's, at any alignment, and takes a single number for a constant: in both cases other
+    values mean other kernels.
+    """
+    values = np.asarray(values)
+    if values.size == 0:
+        return kind()
+    if values.size == 1:
+        return dr.opaque(kind, values.item())
+    out = dr.empty(kind, len(values))
+    dr.scatter(out, kind(values), dr.arange(mi.UInt32, len(values)))
+    dr.eval(out)
+    return out
 
 
 def concat(parts):
-    """Concatenates Dr.Jit arrays along their lanes, vectors component by component."""
+    """Concatenates Dr.Jit arrays along their lanes. Not ``dr.concat``, whose kernels hold the numbers of lanes."""
     parts = list(parts)
     if len(parts) == 1:
         return parts[0]
-    if dr.depth_v(parts[0]) == 1:
-        return dr.concat(parts)
-    return type(parts[0])(*(dr.concat([p[k] for p in parts]) for k in range(len(parts[0]))))
+    kind, widths = type(parts[0]), [dr.width(part) for part in parts]
+    out, start = dr.empty(kind, sum(widths)), 0
+    for part, width in zip(parts, widths):
+        if width > 0:
+            dr.scatter(out, part, dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, width))
+            start += width
+    return out
 
 
 def chosen(*masks):
@@ -37,3 +59,9 @@ def gather(x, index):
 def of(x, index):
     """``x`` for the lanes ``index``: itself where it is the same for all lanes, or empty."""
     return x if dr.width(x) <= 1 else gather(x, index)
+
+
+def room(n):
+    """The next power of two: a width for sums over ``n`` lanes. Dr.Jit puts the width of what it scatters to into its
+    kernels, which would be new ones for each ``n``."""
+    return 1 << max(0, n - 1).bit_length()

@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from . import lanes
 from .geometry import mesh as mesh_facts
 from .geometry import triangle
 
@@ -142,11 +143,11 @@ def read(scene):
     for body in bodies:
         table[_shape_id(body.shape)] = body.index
     return Scene(
-        mi_scene=scene, bodies=bodies, lights=lights, records=mi.Float(np.concatenate(packed)),
-        body_of_shape=mi.UInt32(table), eta=mi.Float([body.eta for body in bodies]),
-        first_record=mi.UInt32([body.first_record for body in bodies]),
-        centre=mi.Float([x for body in bodies for x in body.centre]),
-        extent=mi.Float([body.extent for body in bodies]), others=others,
+        mi_scene=scene, bodies=bodies, lights=lights, records=lanes.array(mi.Float, np.concatenate(packed)),
+        body_of_shape=lanes.array(mi.UInt32, table), eta=lanes.array(mi.Float, [body.eta for body in bodies]),
+        first_record=lanes.array(mi.UInt32, [body.first_record for body in bodies]),
+        centre=lanes.array(mi.Float, [x for body in bodies for x in body.centre]),
+        extent=lanes.array(mi.Float, [body.extent for body in bodies]), others=others,
     )  # fmt: skip
 
 

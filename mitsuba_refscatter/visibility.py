@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from . import tolerances
+from . import lanes, tolerances
 from .geometry import silhouette, triangle
 
 
@@ -56,7 +56,7 @@ class Shadows:
             uniform &= self._beside(corners, shape.bbox())
         tri = triangle.gather(self.scene.records, triangles)
         visible = self.lit(tri.position(1 / 3, 1 / 3), tri.Ng, self.L, True)
-        uniform = mi.Bool(uniform)
+        uniform = lanes.array(mi.Bool, uniform)
         kept = dr.compress(visible | ~uniform)
         return kept, dr.gather(mi.Bool, uniform, kept)
 
@@ -66,7 +66,7 @@ class Shadows:
         rest = np.flatnonzero(~uniform)
         if len(rest) > 0 and len(edges) > 0:
             tri = triangle.gather(
-                self.scene.records, dr.gather(mi.UInt32, triangles, mi.UInt32(rest.astype(np.uint32)))
+                self.scene.records, dr.gather(mi.UInt32, triangles, lanes.array(mi.UInt32, rest.astype(np.uint32)))
             )
             relative = [p - self.L for p in tri.corners()]
             skin = tolerances.SHADOW_OFFSET * self.body.extent

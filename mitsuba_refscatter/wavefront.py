@@ -61,11 +61,10 @@ class Counts:
 
 
 def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=False, progress=None):
-    """Single scattering along every segment by one light. Returns (``Sums``, candidates, ``Counts``).
+    """Single scattering along every segment by one light. Returns (``Sums``, ``Counts``).
 
     ``culling``: ``beams.Beams`` or ``spindle.Spindle``; ``estimator``: a module of ``estimators``, ``seed``: of its random
-    numbers, if it has any. ``candidates``: pairs per segment, None unless ``detail``. ``progress(done, total)`` is called
-    per chunk.
+    numbers, if it has any; ``detail``: whether pairs are counted. ``progress(done, total)`` is called per chunk.
     """
     if culling.for_one_light and dr.width(lighting.L) > 1:
         raise ValueError(
@@ -73,37 +72,23 @@ def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=Fal
         )
     if estimator is not point:
         return _sweep(segments, culling, lighting, accuracy, estimator, detail, progress)
-    n, counts = accuracy.point_samples, Counts()
-    sums, candidates = _nothing(len(segments), detail)
+    n, sums, counts = accuracy.point_samples, Sums.nothing(len(segments), detail), Counts()
     at_once = max(1, min(n, tolerances.PASS_SAMPLES // len(segments)))
     for first in range(0, n, at_once):
         several = min(at_once, n - first)
         index, points, weight = point.queries(segments, lighting, first, several, n, seed)
         dr.eval(index, points.o, weight)
         report = None if progress is None else lambda done, total: progress(first + several * done / total, n)
-        found, more_candidates, more = _sweep(points, culling, lighting.at(index), accuracy, point, detail, report)
+        found, more = _sweep(points, culling, lighting.at(index), accuracy, point, detail, report)
+        sums.add_all(found, weight, index)
         counts.add(more)
-        dr.scatter_add(sums.value, weight * found.value, index)
-        if detail:
-            dr.scatter_add(sums.contributions, found.contributions, index)
-            dr.scatter_add(sums.unresolved, found.unresolved, index)
-            dr.scatter_add(candidates, more_candidates, index)
-        sums.eval(candidates)
-    return sums, candidates, counts
-
-
-def _nothing(n, detail):
-    """``Sums`` of n segments and their candidates, to begin with."""
-    if not detail:
-        return Sums(dr.zeros(mi.Spectrum, n)), None
-    return Sums(dr.zeros(mi.Spectrum, n), *(dr.zeros(mi.Float, n) for _ in range(2))), dr.zeros(mi.Float, n)
+    return sums.first(len(segments)), counts
 
 
 def _sweep(segments, culling, lighting, accuracy, estimator, detail, progress):
     """``scatter`` with all segments as they are."""
     n = len(segments)
-    sums, candidates = _nothing(n, detail)
-    counts = Counts(segments=n)
+    sums, counts = Sums.nothing(n, detail), Counts(segments=n)
     work = Work(sums, segments, culling, lighting, accuracy, estimator)
     chunk, start = tolerances.FIRST_CHUNK, 0
     while start < n:
@@ -119,13 +104,13 @@ def _sweep(segments, culling, lighting, accuracy, estimator, detail, progress):
         chunk = min(tolerances.CHUNK_SEGMENTS, _fitting(size, found), 4 * size)
         counts.leaves += found
         if found > 0:
-            whole, parts = work.filter(lane, leaf, found, candidates)
+            whole, parts = work.filter(lane, leaf, found)
             work.solve(whole)
             work.refine(parts)
         start += size
         if progress is not None:
             progress(start, n)
-    return sums, candidates, counts
+    return sums.first(n), counts
 
 
 @dataclass
@@ -146,14 +131,12 @@ class Work:
         hit = self.culling.node_test(self.segments.gather(index), self.lighting.at(index).light)
         return bvh.traverse(self.culling.tree, index, hit, tolerances.CHUNK_PAIRS)
 
-    def filter(self, lane, leaf, found, candidates=None):
+    def filter(self, lane, leaf, found):
         """Of the first ``found`` (segment, leaf) pairs: the (segment, beam) pairs that can be solved whole, and those
-        whose beams must be cut. Counts the pairs that may contribute in ``candidates``."""
+        whose beams must be cut."""
         pairs = pairs_at(lane, leaf, dr.arange(mi.UInt32, found * bvh.LEAF))
         active, zeros, bent = self.classify(pairs)
-        if candidates is not None:
-            looked_at = zeros.possible if self.culling.for_one_light else active
-            dr.scatter_add(candidates, mi.Float(1), pairs.segment, looked_at)
+        self.sums.look_at(pairs, zeros.possible if self.culling.for_one_light else active)
         whole, parts = lanes.chosen(zeros.bracketed & ~bent, zeros.possible & bent)
         return pairs_at(lane, leaf, whole), pairs_at(lane, leaf, parts)
 

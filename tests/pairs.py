@@ -200,7 +200,7 @@ class Culling:
 
     def work(self, segments, **changes):
         """The stages of the wavefront, with nothing summed yet."""
-        parts = {"sums": Sums(dr.zeros(mi.Spectrum, len(segments))), "segments": segments, "culling": self.culling,
+        parts = {"sums": Sums.nothing(len(segments)), "segments": segments, "culling": self.culling,
                  "lighting": self.lighting, "accuracy": self.prepared.accuracy,
                  "estimator": self.prepared.estimator}  # fmt: skip
         return wavefront.Work(**{**parts, **changes})

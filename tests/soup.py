@@ -112,7 +112,7 @@ def solve(case, eta, tolerance=0.01):
     light = mi.Point3f(np.asarray(case.light, np.float32).T)
     lighting = Lighting(light, dr.opaque(mi.Float, eta), int(np.sign(eta - 1)), None, None, None)
     segments = points_as_segments(case.V)
-    work = wavefront.Work(Sums(dr.zeros(mi.Spectrum, n)), segments, Soup(case.patch), lighting,
+    work = wavefront.Work(Sums.nothing(n), segments, Soup(case.patch), lighting,
                           tolerances.accuracy(tolerance), roots)  # fmt: skip
     index = dr.arange(mi.UInt32, n)
     pairs = Pairs(index, index)

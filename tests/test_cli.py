@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import mitsuba as mi
+import numpy as np
 import pytest
 
 from mitsuba_refscatter import platform
@@ -189,9 +190,33 @@ def test_scaling_measures_and_writes_results(tmp_path):
     data = json.loads((tmp_path / "results.json").read_text())
     assert data["schema"] == "refscatter-results-1" and data["machine"]["cores"] >= 1
     assert [(row["method"], row["triangles"]) for row in data["rows"]] == [
-        (method, n) for n in (80, 320) for method in ("refscatter", "volpath")
+        (method, n) for n in (80, 320) for method in ("refscatter", "holzschuch2015", "walter2009", "volpath")
     ]
     ours = data["rows"][0]
     assert ours["wall_seconds"] > 0 and ours["relmse"] is None and ours["settings"]["surfaces"] is False
     assert ours["contributing_per_ray"] > 0 and ours["candidates_per_ray"] > 0
     assert "320" in done.stdout
+    published = data["rows"][1]
+    assert published["settings"]["estimator"] == "interval" and published["settings"]["culling"] == "spindle"
+    assert published["wall_seconds"] > 0 and published["contributing_per_ray"] > 0
+
+
+def test_scaling_refuses_an_unknown_method():
+    done = refscatter("scaling", "--method", "jensen2001")
+    assert done.returncode == 2 and "holzschuch2015" in done.stderr
+
+
+@needs_variant
+def test_convergence_draws_a_plot(tmp_path):
+    """A tiny run through the command: the table, the rows of results.json, and a picture with something in it."""
+    done = refscatter("convergence", "--scene", "sphere", "--resolution", 8, "--most", 64, "-o", tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "results.json").read_text())["rows"]
+    assert [(row["method"], row["samples"]) for row in rows] == [
+        ("interval", 1), ("interval", 4), ("interval", 16), ("interval", 64), ("point", 16), ("point", 64),
+    ]  # fmt: skip
+    assert all(0 < row["mean_relative_error"] < 0.5 and row["wall_seconds"] > 0 for row in rows)
+    assert rows[3]["mean_relative_error"] < 0.01
+    picture = np.array(mi.Bitmap(str(tmp_path / "convergence.png")))
+    assert picture.shape[1] > 300 and picture.std() > 5
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["convergence.png", "results.json"]

@@ -188,7 +188,7 @@ def test_beams_are_free_as_far_as_said(rgb, tmp_path, name, eta):
 def scattered(culling, o, d, t_max):
     """The sums along the segments, and after how many of them each chunk ended."""
     ends = []
-    sums, _, _ = wavefront.scatter(culling.segments(o, d, t_max), culling.culling, culling.lighting,
+    sums, _ = wavefront.scatter(culling.segments(o, d, t_max), culling.culling, culling.lighting,
                                    culling.prepared.accuracy, culling.prepared.estimator,
                                    progress=lambda done, total: ends.append(done))  # fmt: skip
     return np.array(sums.value).T, ends

@@ -89,7 +89,7 @@ def per_segment(lights, choice):
 
 
 def summed(made, segments, lighting, estimator, **more):
-    sums, _, _ = wavefront.scatter(segments, made.culling, lighting, made.prepared.accuracy, estimator, **more)
+    sums, _ = wavefront.scatter(segments, made.culling, lighting, made.prepared.accuracy, estimator, **more)
     return np.array(sums.value).T
 
 

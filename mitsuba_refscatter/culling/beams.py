@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import tolerances
+from .. import lanes, tolerances
 from ..geometry import bvh, triangle
 from . import beam as light_beam
 from . import beam_tree
@@ -117,7 +117,7 @@ def build(body, scene_records, L, bend, seen, clear):
     index = dr.gather(mi.UInt32, lit, parent)
     proven = dr.gather(mi.Bool, proven, parent)
     centre = triangle.gather(scene_records, index).position(u0 + h / 3, v0 + h / 3)
-    order = mi.UInt32(bvh.median_order(centre.numpy().T).astype(np.uint32))
+    order = lanes.array(mi.UInt32, bvh.median_order(centre.numpy().T).astype(np.uint32))
     index, proven, u0, v0, h = (dr.gather(type(x), x, order) for x in (index, proven, u0, v0, h))
 
     count = dr.width(index)
@@ -132,11 +132,8 @@ def build(body, scene_records, L, bend, seen, clear):
 
 def _expand(level):
     """One entry per sub-triangle: index of its parent in ``level``, code, level."""
-    if dr.all(level == 0):
-        parent = dr.arange(mi.UInt32, dr.width(level))
-        return parent, dr.zeros(mi.UInt32, dr.width(level)), level
     counts = 4 ** level.numpy().astype(np.int64)
     parent = np.repeat(np.arange(len(counts)), counts)
     code = np.arange(len(parent)) - np.repeat(np.cumsum(counts) - counts, counts)
-    parent = mi.UInt32(parent.astype(np.uint32))
-    return parent, mi.UInt32(code.astype(np.uint32)), dr.gather(mi.UInt32, level, parent)
+    parent = lanes.array(mi.UInt32, parent.astype(np.uint32))
+    return parent, lanes.array(mi.UInt32, code.astype(np.uint32)), dr.gather(mi.UInt32, level, parent)

@@ -30,7 +30,8 @@ class Pairs:
     def halves(self):
         """The pairs as two lists."""
         n = len(self) // 2
-        return [self.gather(dr.arange(mi.UInt32, n)), self.gather(n + dr.arange(mi.UInt32, len(self) - n))]
+        second = dr.opaque(mi.UInt32, n) + dr.arange(mi.UInt32, len(self) - n)
+        return [self.gather(dr.arange(mi.UInt32, n)), self.gather(second)]
 
     def cut(self, n):
         """Each part of the curve in ``n`` shorter ones."""

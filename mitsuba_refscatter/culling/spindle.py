@@ -5,6 +5,10 @@ Walter et al. 2009 (section 4) and Holzschuch 2015 (section 4.2): refraction at 
 most acos(min(eta, 1 / eta)), so P lies in a spindle around L and V; and the normal at P is parallel to
 q = omega_L + eta omega_V. Both are tested with bounds of all P and normals of a node: a sphere and a cone. Here V
 is not a point but a whole camera segment, as in the latter.
+
+Departures from the publications: for small nodes a third test, whether the refracted light line can meet the line of
+the segment at all, |g| against a bound. Without it the number of triangles found grows like that of all triangles,
+since the normals' test must take each point of the segment by itself.
 """
 
 import drjit as dr

@@ -14,7 +14,7 @@ it finds the points of the curve, where the point form (``point_form``) is summe
   integrand, which grows like |t - t_c|^(-1/2) at a fold, is then bounded. With equal slopes both are the same.
 - The residual of Newton's method is q x n instead of the half vector's (``solve.constraint``), so that eta may be near
   or equal to 1, and a step that makes it larger is halved.
-- Normals are interpolated or those of facets; D is the same formula for both.
+- D is one formula for interpolated and for facet normals.
 """
 
 from dataclasses import dataclass

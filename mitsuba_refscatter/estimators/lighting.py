@@ -62,13 +62,25 @@ class Lighting:
 
 @dataclass
 class Sums:
-    """Per segment: the radiance ``value`` (without the segment's weight, sigma_s and the light's intensity), the number
-    of pairs that contributed (parts of beams by their share), and of those that were not resolved (None where not
-    asked for)."""
+    """Per segment: the radiance ``value`` (without the segment's weight, sigma_s and the light's intensity), and the
+    numbers of pairs that were looked at (``candidates``), that contributed (parts of beams by their share), and of those
+    that were not resolved (None where not asked for)."""
 
     value: object
+    candidates: object = None
     contributions: object = None
     unresolved: object = None
+
+    @classmethod
+    def nothing(cls, n, detail=False):
+        """To begin with, for at least ``n`` segments."""
+        n = lanes.room(n)
+        return cls(dr.zeros(mi.Spectrum, n), *(dr.zeros(mi.Float, n) if detail else None for _ in range(3)))
+
+    def look_at(self, pairs, mask):
+        """Counts the pairs in ``mask`` as candidates."""
+        if self.candidates is not None:
+            dr.scatter_add(self.candidates, mi.Float(1), pairs.segment, mask)
 
     def add(self, pairs, total, contributes, resolved):
         """Adds the ``total`` of pairs to their segments."""
@@ -77,5 +89,18 @@ class Sums:
             dr.scatter_add(self.contributions, pairs.share(), pairs.segment, contributes)
             dr.scatter_add(self.unresolved, mi.Float(1), pairs.segment, contributes & ~resolved)
 
+    def add_all(self, other, weight, index):
+        """Adds the sums of other segments, times a weight, to those at ``index``."""
+        dr.scatter_add(self.value, weight * other.value, index)
+        if self.candidates is not None:
+            for name in ("candidates", "contributions", "unresolved"):
+                dr.scatter_add(getattr(self, name), getattr(other, name), index)
+        self.eval()
+
+    def first(self, n):
+        """Those of the first ``n`` segments."""
+        index = dr.arange(mi.UInt32, n)
+        return Sums(*(None if x is None else dr.gather(type(x), x, index) for x in vars(self).values()))
+
     def eval(self, *others):
-        dr.eval(self.value, self.contributions, self.unresolved, *others)
+        dr.eval(*vars(self).values(), *others)

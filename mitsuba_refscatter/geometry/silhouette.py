@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .. import lanes
 from .interval import positive_part
 
 WIDEST = 0.5
@@ -105,7 +106,7 @@ def _least(raster, first, last):
 def covered(corners, normal, edges, skin):
     """Whether any edge is in front of triangles: lanes of three ``corners`` (Vector3f), the facet's ``normal``; edges
     (E, 2, 3), all relative to the light. Edges within ``skin`` of a triangle's plane do not count."""
-    flat, count = mi.Float(np.asarray(edges, np.float32).ravel()), dr.opaque(mi.UInt32, len(edges))
+    flat, count = lanes.array(mi.Float, np.asarray(edges, np.float32).ravel()), dr.opaque(mi.UInt32, len(edges))
     skin = dr.opaque(mi.Float, skin)
     sides = []
     for k in range(3):

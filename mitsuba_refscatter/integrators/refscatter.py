@@ -28,14 +28,21 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
 
      * - estimator
        - |string|
-       - How light is summed along a camera segment: ``curve``. (Default: curve)
+       - How light is summed along a camera segment: ``curve`` (exact integration over the light's side), ``interval``
+         (Holzschuch 2015) or ``point`` (Walter et al. 2009); what the latter two do otherwise than published stands at
+         the head of their modules in ``estimators``. (Default: curve)
      * - culling
        - |string|
-       - How triangles are found for a segment: ``beams``. (Default: beams)
+       - How triangles are found for a segment: ``beams`` (light beams, made once per light) or ``spindle`` (the test of
+         both publications, made for nothing in advance). (Default: beams)
      * - tolerance
        - |float|
        - Relative error of the single-scattering image that is aimed at, 0 to 1; 0 is exact to float32.
          (Default: 0.01)
+     * - samples
+       - |int|
+       - Samples per interval (``interval``; as published: 1) or per camera segment (``point``); 0: as many as the
+         tolerance asks for. Not with ``curve``. (Default: 0)
      * - internal_bounces
        - |int|
        - Internal reflections of the camera ray, and hits from outside after the first. (Default: 4)
@@ -54,6 +61,20 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
     .. code-block:: python
 
         'type': 'refscatter', 'tolerance': 0.01, 'surfaces': False
+
+        # As published in 2015:
+        'type': 'refscatter', 'estimator': 'interval', 'culling': 'spindle', 'samples': 1
+
+    The implementation departs from the published methods where they lose light or digits:
+
+    - Intervals and roots are searched from the zeros of g on a triangle's edges and, where refraction is far from
+      linear, on parts of it: the published searches from one start per triangle lose curves (``estimators.interval``,
+      ``estimators.point``).
+    - Newton's method solves q x n = 0 (q = 0 at eta = 1), which holds its digits near eta = 1, instead of the half
+      vector's constraint, damped (``solve.constraint``, ``solve.newton``).
+    - Intervals are split at folds, and samples are regular in the curve's own parameter (``estimators.interval``).
+    - The spindle culling tests, besides the spindle and the normals, whether the refracted light line can meet the
+      segment (``culling.spindle``).
     """
 
     def __init__(self, props):
@@ -184,14 +205,14 @@ def scatter(prepared, paths, ray, n, seed, detail, progress):
         sigma_s, sigma_t = body.coefficients(wavelengths)
         segments = Segments(o - mi.Point3f(dr.opaque(mi.Point3f, body.centre)), d, t_max, sigma_t)
         report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
-        sums, candidates, counts = wavefront.scatter(
+        sums, counts = wavefront.scatter(
             segments, culling, lighting, prepared.accuracy, prepared.estimator, seed + i, detail, report
         )
         prepared.counts.add(counts)
         factor = weight * sigma_s * light.intensity(wavelengths)
         dr.scatter_add(single.radiance, factor * sums.value, sample)
         if detail:
-            dr.scatter_add(single.candidates, candidates, sample)
+            dr.scatter_add(single.candidates, sums.candidates, sample)
             dr.scatter_add(single.contributions, sums.contributions, sample)
             dr.scatter_add(single.unresolved, sums.unresolved, sample)
         dr.eval(single.__dict__)
