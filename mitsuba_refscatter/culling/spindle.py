@@ -1,7 +1,7 @@
 """Culling by the spindle test: which triangles can refract light onto which camera segment, without precomputation
 for the light, so that each segment may have a light point of its own.
 
-Walter et al. 2009 (section 4) and Holzschuch 2015 (section 4.2): refraction at P turns the ray from the light L by at
+Walter et al. 2009 and Holzschuch 2015: refraction at P turns the ray from the light L by at
 most acos(min(eta, 1 / eta)), so P lies in a spindle around L and V; and the normal at P is parallel to
 q = omega_L + eta omega_V. Both are tested with bounds of all P and normals of a node: a sphere and a cone. Here V
 is not a point but a whole camera segment, as in the latter.

@@ -5,8 +5,8 @@
     g(u, v) = (P - o) . (d x omega).
 
 g is zero where the light beam refracted at (u, v) meets the camera line. This is the light-side form of
-the single-scattering integral: no distance correction D as in Walter et al. 2009 (eq. 13) and Holzschuch
-2015 (eq. 9), and no singularity at folds of the caustic.
+the single-scattering integral: no distance correction D as in Walter et al. 2009 and Holzschuch
+2015, and no singularity at folds of the caustic.
 
 In a beam whose corners have g of different signs let E1 and E2 be the points on its edges where the linear
 g vanishes, X = (1 - tau) E1 + tau E2, and M a corner. With g(M + lambda (X - M)) = 0 at lambda:

@@ -42,9 +42,6 @@ class _End:
     t: object
     slope: object
 
-    def select(self, mask, other):
-        return _End(*(dr.select(mask, a, b) for a, b in zip(vars(self).values(), vars(other).values())))
-
     def gather(self, index):
         return _End(*(lanes.gather(x, index) for x in vars(self).values()))
 
@@ -86,7 +83,7 @@ class _Curves:
         D, segment = self.chord.direction(tau), self.segment
         uv = self.chord.M + D
         P, omega, _ = light_beam.refracted(self.tri, uv.x, uv.y, *self.lighting.light)
-        t, s = meeting(P, omega, segment)
+        t, _ = meeting(P, omega, segment)
         # t in units of what it changes by per unit of the ray, roughly: as much as P moves.
         unit = dr.norm(self.tri.P_u * D.x + self.tri.P_v * D.y)
 
@@ -98,7 +95,7 @@ class _Curves:
 
         solution = newton.solve(
             system,
-            (mi.Float(0) + 0 * t, mi.Float(1) + 0 * t),
+            (dr.zeros(mi.Float, dr.width(t)), dr.full(mi.Float, 1, dr.width(t))),
             lambda x, lam: (lam >= 0) & (lam <= tolerances.OVERSHOOT),
             point_form.NEWTON,
         )
@@ -143,7 +140,7 @@ class _Range:
 
 
 def _range(a, b, t_max):
-    """``_Range`` between two points of a curve, monotone and not quite so where the slopes say otherwise."""
+    """``_Range`` between two points of a curve; with equal slopes where those known are of no use."""
     change = b.t - a.t
     slopes = dr.abs(a.slope) + dr.abs(b.slope)
     monotone = (a.slope * change >= 0) & (b.slope * change >= 0) & (slopes > 0) & dr.isfinite(slopes)

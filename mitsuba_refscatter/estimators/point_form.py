@@ -1,7 +1,7 @@
 """The point form of single scattering, and its roots: the light paths L -> P -> V for a given V.
 
-Radiance per unit length along the camera ray (Walter et al. 2009, eq. 9 and section 3; Holzschuch 2015, eqs. 2, 9), one
-term per root P of the constraint for V = o + t d:
+Radiance per unit length along the camera ray (Walter et al. 2009; Holzschuch 2015), one term per root P of the constraint
+for V = o + t d:
 
     dL/dt = sigma_s p I (1 - F) eta^2 / D  exp(-sigma_t (t + s))  V(P, L) V(P, V)
 """
@@ -11,22 +11,19 @@ from dataclasses import replace
 import drjit as dr
 
 from .. import optics, tolerances
+from ..culling.beam import fold
 from ..solve import newton
 from ..solve.constraint import connect
 
 NEWTON = newton.Limits(
-    tolerances.ROOT_STEP,
-    tolerances.ROOT_LONGEST,
-    tolerances.ROOT_ITERATIONS,
-    tolerances.ROOT_PARALLEL,
-    tolerances.ROOT_ROUNDING,
-)
+    step=tolerances.ROOT_STEP, longest=tolerances.ROOT_LONGEST, iterations=tolerances.ROOT_ITERATIONS,
+    parallel=tolerances.ROOT_PARALLEL, rounding=tolerances.ROOT_ROUNDING,
+)  # fmt: skip
 
 
 def _system(tri, piece, lighting, V, d):
     """The constraint at fixed V as a function of the place in a piece, whose corners are (0, 0), (1, 0), (0, 1)."""
-
-    length = dr.maximum(dr.norm(V - piece.P[0]), dr.maximum(dr.norm(V - piece.P[1]), dr.norm(V - piece.P[2])))
+    length = fold(dr.maximum, [dr.norm(V - P) for P in piece.P])
 
     def system(a, b):
         path = connect(tri, lighting.light, V, d, piece.u0 + piece.h * a, piece.v0 + piece.h * b)

@@ -4,12 +4,13 @@ With unit directions omega_L from P to the light and omega_V from P to V = o + t
 Light from L is refracted at P to V where q is parallel to the normal n, with both directions on their sides of the
 surface. Two residuals of this, each given together with its 3 x 3 Jacobian by (t, u, v):
 
-    half_vector:  f = sign(eta - 1) q / |q| + n     (Walter et al. 2009, eq. 6; Holzschuch 2015, eq. 4)
+    half_vector:  f = sign(eta - 1) q / |q| + n     (Walter et al. 2009; Holzschuch 2015)
     cross:        q x n
 
-The first is the published one; it loses digits as eta goes to 1, where |q| goes to |eta - 1|. The second holds for every
-eta. At eta = 1, where q itself is 0 and normals play no part, q is a third residual, better at grazing incidence. In all omega_V points into the body on the line through P and V, so that a root may
-also have V behind P (s < 0): callers test ``s``.
+The first is the published one, for tests and comparison; it loses digits as eta goes to 1, where |q| goes to |eta - 1|. The
+second holds for every eta. At eta = 1, where q itself is 0 and normals play no part, q is a third residual, better at
+grazing incidence. In all omega_V points into the body on the line through P and V, so that a root may also have V
+behind P (s < 0): callers test ``s``.
 """
 
 from dataclasses import dataclass
@@ -82,9 +83,9 @@ class Connection:
         Times s / ``length`` where that is given: continuous where P passes V, so that V may lie next to the surface.
         """
         c = Residual(self.q, self.q_t, self.q_u, self.q_v) if straight else self.cross()
-        return (
-            c if length is None else c.times(self.s / length, self.s_t / length, self.s_u / length, self.s_v / length)
-        )
+        if length is None:
+            return c
+        return c.times(*(x / length for x in (self.s, self.s_t, self.s_u, self.s_v)))
 
     def half_vector(self, sign):
         """``Residual`` f; ``sign`` is 1 for eta > 1 and -1 for eta < 1."""
@@ -98,8 +99,8 @@ class Connection:
         return Residual(h + self.n, turned(self.q_t), turned(self.q_u) + self.n_u, turned(self.q_v) + self.n_v)
 
     def distance_correction(self, tri):
-        """D: light that is refracted at P spreads at V as from a source at distance sqrt(D) (Walter et al. 2009,
-        eqs. 13 to 15; here for interpolated and for facet normals):
+        """D: light that is refracted at P spreads at V as from a source at distance sqrt(D) (Walter et al. 2009;
+        here in one form for interpolated and for facet normals):
 
             D = s^2 d_L^2 |J| / (|omega_L . n| |omega_V . Ng| |P_u x P_v|),
             J = n . [(q_u - mu n_u) x (q_v - mu n_v)],   mu = q . n
@@ -127,20 +128,5 @@ def connect(tri, light, V, d, u, v):
 
     q_u, q_v = (-turn(omega_L, P_x, d_L) - eta * turn(omega_V, P_x, s) for P_x in (tri.P_u, tri.P_v))
     s_t, s_u, s_v = dr.dot(omega_V, d), -dr.dot(omega_V, tri.P_u), -dr.dot(omega_V, tri.P_v)
-    return Connection(
-        P,
-        n,
-        omega_L,
-        d_L,
-        omega_V,
-        s,
-        omega_L + eta * omega_V,
-        eta * turn(omega_V, d, s),
-        q_u,
-        q_v,
-        n_u,
-        n_v,
-        s_t,
-        s_u,
-        s_v,
-    )
+    return Connection(P, n, omega_L, d_L, omega_V, s, omega_L + eta * omega_V, eta * turn(omega_V, d, s), q_u, q_v,
+                      n_u, n_v, s_t, s_u, s_v)  # fmt: skip

@@ -13,7 +13,7 @@ class Status(enum.IntEnum):
     LEFT = 1
     """outside the domain"""
     SINGULAR = 2
-    """the two columns of the Jacobian became parallel"""
+    """the columns of the Jacobian are parallel, or no step makes the residual smaller"""
     OUT_OF_ITERATIONS = 3
     NON_FINITE = 4
 
