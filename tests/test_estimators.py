@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 from meshes import bumpy_sphere
 
+from mitsuba_refscatter import wavefront
 from mitsuba_refscatter.compare import convergence
 from mitsuba_refscatter.compare.methods import METHODS
+from mitsuba_refscatter.estimators import interval, point
+from mitsuba_refscatter.estimators.lighting import Lighting
 
 COMBINATIONS = [
     (estimator, culling) for estimator in ("curve", "interval", "point") for culling in ("beams", "spindle")
@@ -105,3 +108,49 @@ def test_no_kernel_is_made_anew(rgb, scene_at, estimator, culling):
         known |= {k["hash"] for k in kernels}
         assert frame < 3 or not new, [(k["operation_count"], k["size"]) for k in new]
     assert len(large) > 10
+
+
+# ---- Parts of the estimators ----------------------------------------------------------------
+
+
+def test_interval_in_t(rgb):
+    """The quadratic t(x): ends, clipping to the segment, slopes in the given ratio, and dt as its derivative."""
+    rng, n = np.random.default_rng(3), 1000
+    t0, t1, s0, s1 = rng.uniform(-0.5, 1.5, (4, n))
+    s0, s1 = np.abs(s0) * np.sign(t1 - t0), np.abs(s1) * np.sign(t1 - t0)
+    s0[::4], s1[1::4] = 0, 0  # folds
+    ends = [interval._End(mi.Vector2f(0), mi.Float(t), mi.Float(s)) for t, s in ((t0, s0), (t1, s1))]
+    span = interval._range(*ends, mi.Float(np.ones(n)))
+    low, high = np.clip(np.minimum(t0, t1), 0, 1), np.clip(np.maximum(t0, t1), 0, 1)
+    first, last = np.array(span.first), np.array(span.last)
+    inside = high > low + 1e-3
+    reached = np.sort([np.array(span.t(mi.Float(x))) for x in (first, last)], axis=0)
+    np.testing.assert_allclose(reached[:, inside], np.array([low, high])[:, inside], atol=2e-6)
+    assert (np.array(span.last - span.first)[(high == low)] < 1e-6).all()
+    x, h = rng.uniform(0.1, 0.9, n), 1e-2
+    slope = (np.array(span.t(mi.Float(x + h))) - np.array(span.t(mi.Float(x - h)))) / (2 * h)
+    np.testing.assert_allclose(np.array(span.dt(mi.Float(x))), np.abs(slope), rtol=1e-3, atol=1e-4)
+    at_0, at_1 = (np.array(span.dt(mi.Float(np.full(n, x)))) for x in (0.0, 1.0))
+    np.testing.assert_allclose(at_0 * np.abs(s1), at_1 * np.abs(s0), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("n", [64, 1024])
+def test_sample_points_of_segments(rgb, n):
+    """Weighted sums over the sample points are integrals along the segments, attenuation included."""
+    rng, count = np.random.default_rng(4), 200
+    t_max, sigma_t = rng.uniform(0.1, 3, count), rng.uniform(0, 2, (3, count))
+    o, L = rng.normal(size=(3, count)), rng.normal(size=(3, count)) * 3
+    d = rng.normal(size=(3, count))
+    d /= np.linalg.norm(d, axis=0)
+    segments = wavefront.Segments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max), mi.Spectrum(sigma_t))
+    lighting = Lighting(mi.Point3f(L), mi.Float(1.5), 1, None, None, None)
+    total = np.zeros((3, count))
+    for first in (0, n // 2):
+        index, points, weight = point.queries(segments, lighting, first, n // 2, n, seed=7)
+        index, along = np.array(index), np.einsum("in,in->n", np.array(points.o) - o[:, np.array(index)], d[:, np.array(index)])
+        assert (along >= -1e-6).all() and (along <= t_max[index] + 1e-6).all()
+        np.add.at(total.T, index, (np.array(weight) * along).T)
+    with np.errstate(all="ignore"):
+        exact = np.where(sigma_t * t_max > 1e-3, (1 - np.exp(-sigma_t * t_max) * (1 + sigma_t * t_max)) / sigma_t**2, t_max**2 / 2)
+    # Strata make the error fall faster than 1/sqrt(n).
+    assert np.abs(total / exact - 1).max() < (0.05 if n == 64 else 0.003)
