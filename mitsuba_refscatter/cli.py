@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import re
+import sys
 import time
 from pathlib import Path
 from typing import List, Optional  # noqa: UP035 - typer reads these on Python 3.9
@@ -29,7 +30,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Volume caustics without noise, for Mitsuba 3.",
 )
-out = Console(highlight=False, soft_wrap=True)
+WIDE = 160  # columns of tables that go to a file
+out = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else WIDE)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 
 _OURS = "RefscatterIntegrator["

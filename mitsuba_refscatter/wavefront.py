@@ -72,7 +72,7 @@ def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=Fal
         )
     if estimator is not point:
         return _sweep(segments, culling, lighting, accuracy, estimator, detail, progress)
-    n, sums, counts = accuracy.point_samples, Sums.nothing(len(segments), detail), Counts()
+    n, sums, counts = accuracy.point_samples, Sums.nothing(len(segments), detail), Counts(segments=len(segments))
     at_once = max(1, min(n, tolerances.PASS_SAMPLES // len(segments)))
     for first in range(0, n, at_once):
         several = min(at_once, n - first)
@@ -81,7 +81,7 @@ def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=Fal
         report = None if progress is None else lambda done, total: progress(first + several * done / total, n)
         found, more = _sweep(points, culling, lighting.at(index), accuracy, point, detail, report)
         sums.add_all(found, weight, index)
-        counts.add(more)
+        counts.leaves += more.leaves
     return sums.first(len(segments)), counts
 
 

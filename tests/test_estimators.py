@@ -147,10 +147,15 @@ def test_sample_points_of_segments(rgb, n):
     total = np.zeros((3, count))
     for first in (0, n // 2):
         index, points, weight = point.queries(segments, lighting, first, n // 2, n, seed=7)
-        index, along = np.array(index), np.einsum("in,in->n", np.array(points.o) - o[:, np.array(index)], d[:, np.array(index)])
+        index, along = (
+            np.array(index),
+            np.einsum("in,in->n", np.array(points.o) - o[:, np.array(index)], d[:, np.array(index)]),
+        )
         assert (along >= -1e-6).all() and (along <= t_max[index] + 1e-6).all()
         np.add.at(total.T, index, (np.array(weight) * along).T)
     with np.errstate(all="ignore"):
-        exact = np.where(sigma_t * t_max > 1e-3, (1 - np.exp(-sigma_t * t_max) * (1 + sigma_t * t_max)) / sigma_t**2, t_max**2 / 2)
+        exact = np.where(
+            sigma_t * t_max > 1e-3, (1 - np.exp(-sigma_t * t_max) * (1 + sigma_t * t_max)) / sigma_t**2, t_max**2 / 2
+        )
     # Strata make the error fall faster than 1/sqrt(n).
     assert np.abs(total / exact - 1).max() < (0.05 if n == 64 else 0.003)
