@@ -23,6 +23,11 @@ def norm(a):
     return np.sqrt(dot(a, a))
 
 
+def unit(a):
+    """Of length 1 over the last axis: (...,3) -> (...,3)."""
+    return a / norm(a)
+
+
 @dataclass(frozen=True)
 class Mesh:
     """Closed triangle mesh in world space with outward winding.

@@ -7,7 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import oracle
-from meshes import Patch, dot, norm, triangle_grid
+from meshes import Patch, dot, norm, triangle_grid, unit
 
 from mitsuba_refscatter import tolerances, wavefront
 from mitsuba_refscatter.culling import beam
@@ -18,10 +18,6 @@ from mitsuba_refscatter.geometry import triangle
 
 # patch; light, V (n,3); uv (n,2): a root that is known.
 Case = namedtuple("Case", "patch light V uv")
-
-
-def unit(x):
-    return x / norm(x)
 
 
 def random_cases(rng, n, eta):

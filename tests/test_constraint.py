@@ -5,16 +5,12 @@ import mitsuba as mi
 import numpy as np
 import oracle
 import pytest
-from meshes import Patch, dot, norm
+from meshes import Patch, dot, norm, unit
 
 from mitsuba_refscatter.geometry.triangle import Triangle
 from mitsuba_refscatter.solve.constraint import connect
 
 N = 400
-
-
-def unit(x):
-    return x / norm(x)
 
 
 def random_patches(rng, n, smooth, bend=0.3):
