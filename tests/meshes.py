@@ -3,6 +3,8 @@
 World space, one length unit.  Directions are unit vectors.  Imports nothing but NumPy.
 """
 
+from __future__ import annotations
+
 from collections import namedtuple
 from dataclasses import dataclass
 

@@ -3,9 +3,9 @@
 For each sample point V all light paths L -> P -> V over all candidate triangles are found and summed by the point form
 (``point_form``). Departures from the publication:
 
-- A triangle is cut where refraction is far from linear on it, until one root per part is all there can be; the
-  publication starts one search per triangle and misses further roots, as there are near caustics.
-- The samples are stratified in the angle under which the light sees the segment (equiangular), not uniform.
+- A triangle is cut where refraction is far from linear on it, until one root per part is all there can be: near a
+  caustic one triangle has several.
+- The samples are stratified in the angle under which the light, unrefracted, would see the segment (equiangular).
 - The residual of Newton's method is q x n instead of the half vector's (``solve.constraint``), so that eta may be near
   or equal to 1, and a step that makes it larger is halved.
 - Triangles are found by the same test in a tree whose nodes are spheres and cones of normals, but all triangles of a
