@@ -262,9 +262,7 @@ def scaling(
     bounces: int = typer.Option(
         0, "--internal-bounces", min=0, help="Of refscatter; volpath has none in this comparison."
     ),
-    methods: List[str] = typer.Option(  # noqa: UP006
-        list(METHODS), "--method", help="Method to compare with volpath; repeatable."
-    ),
+    methods: list[str] = typer.Option(list(METHODS), "--method", help="Method to compare with volpath; repeatable."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
 ):
     """Measure cost against the number of triangles, in samples of volpath on the same machine in the same run."""
@@ -275,7 +273,7 @@ def scaling(
             )
     variant = _measurable(variant, directory)
     table = _table("triangles", "method", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray",
-                   "contributing/ray", "peak MiB")  # fmt: skip
+                   "contributing/ray", "L1 error", "peak MiB")  # fmt: skip
 
     def add(rows):
         for row in rows[:-1]:
@@ -284,6 +282,7 @@ def scaling(
                 str(row["triangles"]), row["method"], f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
                 f"{row['volpath_samples_of_same_wall_time']:.0f}", f"{row['volpath_samples_of_same_cpu_time']:.0f}",
                 f"{row['candidates_per_ray']:.0f}", f"{row['contributing_per_ray']:.0f}",
+                f"{row['mean_relative_error']:.1e}",
                 "" if memory is None else f"{memory / 2**20:.0f}",
             )  # fmt: skip
         err.print(f"{rows[0]['triangles']} triangles done")
@@ -299,12 +298,11 @@ def scaling(
 @_plainly
 def convergence(
     directory: Path = typer.Option(..., "-o", "--output", help="Directory for convergence.png and results.json."),
-    scenes: List[str] = typer.Option(  # noqa: UP006
+    scenes: list[str] = typer.Option(
         list(convergence_runs.SCENES), "--scene", help="One of the scenes made by code; repeatable."
     ),
     resolution: int = typer.Option(32, "--resolution", min=1, help="Pixels on a side."),
     most: int = typer.Option(4096, "--most", min=1, help="Largest number of samples."),
-    culling: str = typer.Option("spindle", "--culling", help="Culling of the estimators interval and point."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
 ):
     """Plot how the estimators interval and point come to what the curve finds as their samples grow."""
@@ -321,7 +319,7 @@ def convergence(
         err.print(f"{row['scene']}, {row['method']}, {row['samples']} samples done")
 
     for name in scenes:
-        rows += convergence_runs.run(name, most, add, variant=variant, resolution=resolution, culling=culling)
+        rows += convergence_runs.run(name, most, add, variant=variant, resolution=resolution)
     out.print(table)
     picture = directory / "convergence.png"
     output.write_file(picture, lambda unfinished: convergence_runs.plot(rows, unfinished))

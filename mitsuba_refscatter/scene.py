@@ -322,7 +322,7 @@ def _check_coefficients(name, medium, phase):
         option = key.split(".")[0]
         if option in ("albedo", "sigma_t") and (key.endswith(".data") or "grid" in key):
             raise SceneError(f"{name} has a medium whose {option} varies in space: refscatter needs a constant one")
-        # In spectral variants colours are stored as coefficients of a spectrum that is in [0, 1] by construction.
+        # In spectral variants a colour is stored as coefficients of a spectrum; Mitsuba takes colours in [0, 1] there.
         colour = mi.is_spectral and isinstance(value, mi.Color3f)
         if option in limits and not colour and (key == "scale" or key.endswith((".value", ".values", ".g"))):
             low, high = limits[option]

@@ -1,4 +1,5 @@
-"""Every threshold of the package: its name, unit and reason. No other module holds a bare epsilon."""
+"""Every threshold of the package: its name, unit and reason. No other module holds a bare epsilon, but divisors that
+must not be 0 (1e-30)."""
 
 from dataclasses import dataclass
 
@@ -16,6 +17,9 @@ CAMERA_OFFSET = 2e-6
 
 PARALLEL = 1e-6
 """sin^2 of the angle between light and camera ray below which they have no common point in float32."""
+
+WIDE = 0.999
+"""Sine of a cone's half-angle that is as good as a half-space."""
 
 COSINE = 1e-5
 """Slack of the spindle test's cosines: their rounding in float32, several times over."""
@@ -55,7 +59,8 @@ NEAREST = 1e-3
 """Smallest distance of the light from a camera segment's line, relative to its length, that sampling assumes."""
 
 ROOT_STEP = 1e-3
-"""Step of Newton's method, relative to the light beam's size, that is the last one: behind it the error is its square."""
+"""Step of Newton's method, relative to the light beam's size (for an interval's end to the ray from the corner), that is
+the last one: after it the error is its square."""
 
 ROOT_LONGEST = 1.0
 """Longest step of Newton's method, relative to the light beam's size."""
@@ -70,7 +75,7 @@ ROOT_ROUNDING = 1e-6
 """Size of q x n at a root that is rounding, several times over."""
 
 DOUBLE_STEPS = 3
-"""Steps in double precision behind a root in a part of a triangle: from float32's 1e-3 next to a fold to 1e-12."""
+"""Steps in double precision after a root in a part of a triangle: from float32's 1e-3 next to a fold to 1e-12."""
 
 MOMENT = 1e-6
 """Rounding of (V - P) x omega in float32 relative to |V - P|, several times over."""
@@ -78,6 +83,9 @@ MOMENT = 1e-6
 OUTSIDE = 0.5
 """How far outside of its light beam, relative to its size, a root is still taken for that of its curve: curves are
 slightly bent and may run along an edge."""
+
+FOUND = 0.5
+"""Share of an interval's samples that must be found for it to count as resolved."""
 
 FOLD_STEPS = 4
 """Steps of regula falsi for a fold; t there is then good to the square of their error."""
@@ -95,7 +103,7 @@ FIRST_CHUNK = 1 << 11
 """Segments in the first chunk, whose pairs tell how long the next may be."""
 
 PASS_SAMPLES = 1 << 18
-"""Most camera samples in one pass of the film."""
+"""Most camera samples in one pass of the film, and most sample points of camera segments at a time."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +116,7 @@ class Accuracy:
     ``bend``: largest deviation of a light beam from a linear one, relative to its width; beams that are
     bent more are subdivided. ``points``: Gauss points along the curve in one beam. ``newton``: Newton
     steps per point. ``weight``: camera legs with a smaller weight are dropped. ``interval_samples``, ``point_samples``: per
-    interval and per camera segment, of the estimators of these names.
+    interval and per camera segment, of the estimators of these names; ``point_samples`` do not reach the tolerance, the noise is about 0.5 / sqrt(samples).
     """
 
     bend: float

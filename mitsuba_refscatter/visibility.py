@@ -17,7 +17,8 @@ class Shadows:
 
     ``lit(P, Ng, L, active)``: nothing between the light point L and P (body coordinates); ``inside(P, Ng, direction,
     length, active)``: nothing between P and the point at ``length``. A test is None where nothing can be in
-    the way: a convex body does not shadow itself.
+    the way: a convex body does not shadow itself. ``position``: of the light, world; ``L``: the same in body coordinates,
+    for ``seen`` alone.
     """
 
     def __init__(self, scene, body, position, L):

@@ -1,4 +1,4 @@
-"""The wavefront over camera segments: traverse the beams' tree, filter the pairs, solve and accumulate.
+"""The wavefront over camera segments: traverse the culling's tree, filter the pairs, solve and accumulate.
 
 Segments go in, radiance comes out. Each stage is one kernel per chunk; the chunks are as long as the
 buffer of pairs allows: a chunk whose pairs do not fit is traversed again in two halves.
@@ -29,7 +29,7 @@ class Segments:
     sigma_t: object
 
     def gather(self, index, active=True):
-        """Geometry of the segments at ``index``."""
+        """Geometry of the segments at ``index``; ``sigma_t`` stays as it is (``sigma_t_of``)."""
         return replace(self, o=dr.gather(type(self.o), self.o, index, active),
                        d=dr.gather(type(self.d), self.d, index, active),
                        t_max=dr.gather(type(self.t_max), self.t_max, index, active))  # fmt: skip
@@ -64,7 +64,9 @@ def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=Fal
     """Single scattering along every segment by one light. Returns (``Sums``, ``Counts``).
 
     ``culling``: ``beams.Beams`` or ``spindle.Spindle``; ``estimator``: a module of ``estimators``, ``seed``: of its random
-    numbers, if it has any; ``detail``: whether pairs are counted. ``progress(done, total)`` is called per chunk.
+    numbers, if it has any (``point`` goes through sample points of the segments instead of the segments); ``detail``: whether
+    pairs are counted. ``progress(done, total)`` is called per chunk. Raises ``ValueError`` for one light point per segment
+    where the culling is made for one light.
     """
     if culling.for_one_light and dr.width(lighting.L) > 1:
         raise ValueError(

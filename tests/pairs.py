@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import oracle
-from hypothesis import assume
+from hypothesis import assume, note
 from meshes import BoxTree, Mesh, dot, icosphere, make_patches, norm, take, triangle_grid
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
@@ -110,6 +110,19 @@ def chords(mesh, rng, n):
     start = t[enters] + part[:, 0] * length
     k = ray[enters]
     return build.rounded(o[k] + start[:, None] * d[k]), d[k], build.rounded((part[:, 1] - part[:, 0]) * length)
+
+
+def random_case(seed):
+    """A body, its index of refraction, a light outside and a tolerance; the numbers to report."""
+    rng = np.random.default_rng(seed)
+    level, eta = int(rng.integers(1, 4)), rng.uniform(1.05, 2.4) if rng.random() < 0.75 else rng.uniform(0.5, 0.97)
+    boxy, smooth, tolerance = rng.random() < 0.4, rng.random() < 0.6, rng.choice([0.0, 0.01, 0.5])
+    amplitude, stretch, distance = rng.uniform(0, 0.4), rng.uniform(1, 3), 1 + 10 ** rng.uniform(-1.5, 1.2)
+    mesh = cut_box(rng, level) if boxy else wavy(rng, level, amplitude, stretch, smooth)
+    middle, side = mesh.vertices.mean(0), rng.normal(size=3)
+    light = build.rounded(middle + distance * norm(mesh.vertices - middle).max() * side / norm(side))
+    note(f"{boxy=} {level=} {amplitude=} {stretch=} {smooth=} {eta=} {distance=} {tolerance=}")
+    return mesh, eta, light, float(tolerance), chords(mesh, rng, 80)
 
 
 # ---- Brute force ----------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from mitsuba_refscatter.culling.pairs import Pairs, Taken
 from mitsuba_refscatter.estimators import point
 from mitsuba_refscatter.estimators.lighting import Lighting, Sums
 from mitsuba_refscatter.geometry import triangle
+from mitsuba_refscatter.solve import newton
 
 # patch; light, V (n,3); uv (n,2): a root that is known.
 Case = namedtuple("Case", "patch light V uv")
@@ -61,7 +62,7 @@ class Soup:
     def take(self, pairs, light, active=True):
         tri = triangle.gather(self.records, pairs.beam, active)
         place = pairs.place(mi.Float(0), mi.Float(0), mi.Float(1))
-        return Taken(tri, beam.refract(tri, light, *place), mi.Float(0), mi.Bool(False))
+        return Taken(tri, beam.piece_at(tri, light, *place), mi.Float(0), mi.Bool(False))
 
     def triangle_of(self, pairs):
         return pairs.beam
@@ -73,7 +74,7 @@ class Roots:
     classify = staticmethod(point.classify)
 
     def __init__(self):
-        self.found, self.statuses, self.evaluations = [], np.zeros(5, int), np.zeros(64, int)
+        self.found, self.statuses, self.evaluations = [], np.zeros(len(newton.Status), int), np.zeros(64, int)
 
     def accumulate(self, sums, pairs, segments, culling, lighting, accuracy):
         lighting = lighting.at(pairs.segment)
@@ -84,7 +85,7 @@ class Roots:
         kept = np.array(valid)
         columns = (pairs.segment, culling.triangle_of(pairs), u, v)
         self.found.append([np.array(x)[kept].astype(float) for x in columns])
-        self.statuses += np.bincount(np.array(solution.status), minlength=5)
+        self.statuses += np.bincount(np.array(solution.status), minlength=len(newton.Status))
         self.evaluations += np.bincount(np.array(solution.iterations), minlength=64)
 
     def all(self):

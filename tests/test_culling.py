@@ -5,10 +5,10 @@ import mitsuba as mi
 import numpy as np
 import oracle
 import pytest
-from hypothesis import HealthCheck, Phase, given, note, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from meshes import BoxTree, Mesh, bumpy_sphere, dot, make_patches, norm, take
-from pairs import Culling, bevelled_box, chords, cut_box, lost_and_looked_at, one_body, torus, wavy
+from pairs import Culling, bevelled_box, chords, lost_and_looked_at, one_body, random_case, torus, wavy
 from test_accuracy import read_mesh
 
 from mitsuba_refscatter import tolerances, wavefront
@@ -22,19 +22,6 @@ LOST = 1e-5
 
 
 # ---- No pair is lost ------------------------------------------------------------------------
-
-
-def random_case(seed):
-    """A body, its index of refraction, a light outside and a tolerance; the numbers to report."""
-    rng = np.random.default_rng(seed)
-    level, eta = int(rng.integers(1, 4)), rng.uniform(1.05, 2.4) if rng.random() < 0.75 else rng.uniform(0.5, 0.97)
-    boxy, smooth, tolerance = rng.random() < 0.4, rng.random() < 0.6, rng.choice([0.0, 0.01, 0.5])
-    amplitude, stretch, distance = rng.uniform(0, 0.4), rng.uniform(1, 3), 1 + 10 ** rng.uniform(-1.5, 1.2)
-    mesh = cut_box(rng, level) if boxy else wavy(rng, level, amplitude, stretch, smooth)
-    middle, side = mesh.vertices.mean(0), rng.normal(size=3)
-    light = build.rounded(middle + distance * norm(mesh.vertices - middle).max() * side / norm(side))
-    note(f"{boxy=} {level=} {amplitude=} {stretch=} {smooth=} {eta=} {distance=} {tolerance=}")
-    return mesh, eta, light, float(tolerance), chords(mesh, rng, 80)
 
 
 def no_pair_is_lost(examples, folder, culling):

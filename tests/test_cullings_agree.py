@@ -9,8 +9,7 @@ import soup
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from meshes import BoxTree, bumpy_sphere, make_patches, take
-from pairs import chords, one_body
-from test_culling import random_case
+from pairs import chords, one_body, random_case
 
 from mitsuba_refscatter import wavefront
 from mitsuba_refscatter.estimators import curve, interval, point

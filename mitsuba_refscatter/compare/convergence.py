@@ -15,15 +15,17 @@ SCENES = {"bumpy_sphere": 1280, "rounded_cube": 1280, "branches": 4000}
 SAMPLES = {"interval": (1, 4, 16, 64), "point": (16, 64, 256, 1024, 4096)}
 """Samples per interval and per camera segment."""
 
+CULLING = "spindle"
+"""Of the estimators that are compared; the reference has its own, ``beams``: both are put to the test."""
+
 FIXED = {"surfaces": False, "internal_bounces": 0, "tolerance": 0.0}
 """What all renders have in common: triangles are cut as finely as for the reference."""
 
 
-def run(scene, most, report=lambda row: None, *, variant, resolution, culling):
+def run(scene, most, report=lambda row: None, *, variant, resolution):
     """Rows of results for one scene with up to ``most`` samples; ``report(row)`` is called after each.
 
-    ``mean_relative_error`` is the relative L1 difference of the images, sum|a - b| / sum b; ``culling`` that of the
-    estimators which are compared (the reference's is ``beams``).
+    ``mean_relative_error`` is the relative L1 difference of the images, sum|a - b| / sum b.
     """
     import mitsuba as mi
     import numpy as np
@@ -44,9 +46,9 @@ def run(scene, most, report=lambda row: None, *, variant, resolution, culling):
     reference, _ = render()
     rows = []
     for estimator, counts in SAMPLES.items():
-        render(estimator=estimator, culling=culling, samples=counts[0])  # compiles
+        render(estimator=estimator, culling=CULLING, samples=counts[0])  # compiles
         for n in (n for n in counts if n <= most):
-            settings = {"estimator": estimator, "culling": culling, "samples": n}
+            settings = {"estimator": estimator, "culling": CULLING, "samples": n}
             image, seconds = render(**settings)
             rows.append(results.row(
                 scene=scene, method=estimator, variant=variant, triangles=triangles, samples=n,

@@ -1,4 +1,5 @@
-"""The methods of the literature as combinations of estimator and culling, under the names that comparisons use."""
+"""Our method and our versions of the published ones, as combinations of estimator and culling (departures: the heads of
+``estimators`` and ``culling.spindle``), under the names that comparisons use."""
 
 METHODS = {
     "refscatter": {},

@@ -70,8 +70,8 @@ class Piece:
         return [mi.Vector2f(self.u0 + self.h * u, self.v0 + self.h * v) for u, v in CORNERS]
 
 
-def refract(tri, light, u0, v0, h):
-    """The light beams that ``light`` = (L, eta) makes of parts of triangles.
+def piece_at(tri, light, u0, v0, h):
+    """``Piece``: the light beams that ``light`` = (L, eta) makes of parts of triangles.
 
     ``bend`` bounds how far omega is from linear, in any direction: a quadratic deviates by at most 4/3 of what it
     does at the edges' middles; 2 leaves room for the cubic part. Where the critical angle may be passed, omega has

@@ -22,11 +22,11 @@ from .pairs import Taken
 class Beams:
     """The light beams of one light in one body, and their tree.
 
-    ``surface``: the scene's triangle records; ``records``: flat, ``beam.BEAM`` numbers each; ``triangles``: parent
-    triangle of each beam; ``proven_lit``: whether the whole beam is known to see the light.
+    ``triangle_records``: the scene's; ``records``: flat, ``beam.BEAM`` numbers each, ``count`` of them; ``triangles``:
+    parent triangle of each beam; ``proven_lit``: whether the whole beam is known to see the light.
     """
 
-    surface: object
+    triangle_records: object
     records: object
     triangles: object
     proven_lit: object
@@ -51,10 +51,10 @@ class Beams:
     def take(self, pairs, light, active=True):
         """``Taken``: triangles, light beams and proofs for pairs."""
         x = triangle.gather_numbers(self.records, pairs.beam, light_beam.BEAM, active)
-        tri = triangle.gather(self.surface, self.triangle_of(pairs, active), active)
+        tri = triangle.gather(self.triangle_records, self.triangle_of(pairs, active), active)
         piece = light_beam.unpack(x)
         if pairs.code is not None:
-            piece = light_beam.refract(tri, light, *pairs.place(piece.u0, piece.v0, piece.h))
+            piece = light_beam.piece_at(tri, light, *pairs.place(piece.u0, piece.v0, piece.h))
         return Taken(tri, piece, x[23], dr.gather(mi.Bool, self.proven_lit, pairs.beam, active))
 
 
@@ -123,7 +123,7 @@ def build(body, scene_records, L, bend, seen, clear):
     count = dr.width(index)
     records = dr.empty(mi.Float, count * light_beam.BEAM)
     tri = triangle.gather(scene_records, index)
-    piece = light_beam.refract(tri, light, u0, v0, h)
+    piece = light_beam.piece_at(tri, light, u0, v0, h)
     free = mi.Float(0) if clear is None else clear(piece.P, piece.omega, piece.bend)
     triangle.scatter_numbers(records, light_beam.numbers(piece, free), dr.arange(mi.UInt32, count))
     dr.eval(records, index, proven)

@@ -17,7 +17,7 @@ NODE = 12
 
 
 class Clearance:
-    """Of a body; independent of the light."""
+    """How far light is free inside a body, independent of the light. ``corners``: float64 (F, 3, 3), body coordinates."""
 
     def __init__(self, records, first_record, corners):
         self.surface = Surface(records, first_record, corners, lambda tri: [tri.Ng], _pack, NODE)
@@ -50,9 +50,7 @@ class Clearance:
     def _touch(self, leaf, j, active, P, omega, bend, axis_P, axis, start, spread):
         """Smallest distance at which the beams can leave through the j-th triangle of a leaf, or 1e30."""
         _, tri = self.surface.member(leaf, j, active)
-        middle = tri.P0 + (tri.P_u + tri.P_v) / 3
-        to = [tri.P0 - middle, tri.P0 + tri.P_u - middle, tri.P0 + tri.P_v - middle]
-        radius = dr.maximum(dr.norm(to[0]), dr.maximum(dr.norm(to[1]), dr.norm(to[2])))
+        middle, radius = tri.ball()
         near, touched = _first_touch(middle - axis_P, radius, axis, start, spread)
         # Where the linear beam meets the plane: a ratio of linear functions, smallest at a corner.
         cosines = [dr.dot(w, tri.Ng) for w in omega]

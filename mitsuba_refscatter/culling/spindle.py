@@ -50,13 +50,11 @@ class Spindle:
             return mi.Bool(True)
         exists = pairs.beam < dr.opaque(mi.UInt32, self.surface.count)
         _, tri = self.surface.at(pairs.beam, exists)
-        centre = tri.position(1 / 3, 1 / 3)
-        radius = light_beam.fold(dr.maximum, [dr.norm(p - centre) for p in tri.corners()])
         normals = tri.corner_normals()
         middle = (normals[0] + normals[1] + normals[2]) / 3
         wide = light_beam.fold(dr.maximum, [dr.norm(n - middle) for n in normals])
         facing = dr.dot(tri.Ng, light[0] - tri.P0) > 0
-        possible = _may_refract((centre, radius), _cone(middle, wide), segment, light, self.eta_above_1)
+        possible = _may_refract(tri.ball(), _cone(middle, wide), segment, light, self.eta_above_1)
         return exists & facing & possible
 
     def triangle_of(self, pairs):
@@ -67,7 +65,7 @@ class Spindle:
         """``Taken``: triangles and light beams for pairs; nothing is proven."""
         _, tri = self.surface.at(pairs.beam, active)
         place = pairs.place(mi.Float(0), mi.Float(0), mi.Float(1))
-        return Taken(tri, light_beam.refract(tri, light, *place), mi.Float(0), mi.Bool(False))
+        return Taken(tri, light_beam.piece_at(tri, light, *place), mi.Float(0), mi.Bool(False))
 
 
 def _pack(bounds):
@@ -111,11 +109,11 @@ class _Spread:
 
     def __init__(self, sine, cosine=None):
         self.sine, self.cosine = sine, dr.safe_sqrt(1 - dr.square(sine)) if cosine is None else cosine
-        self.wide = sine > WIDE
+        self.wide = sine > tolerances.WIDE
         self.chord = sine * dr.sqrt(2 / (1 + self.cosine))
 
     def plus(self, other):
-        """Both half-angles added, each below 90 degrees."""
+        """Both half-angles added."""
         sine, cosine = (
             self.sine * other.cosine + self.cosine * other.sine,
             self.cosine * other.cosine - self.sine * other.sine,
@@ -125,10 +123,6 @@ class _Spread:
     @property
     def over_90(self):
         return self.cosine <= 0
-
-
-WIDE = 0.999
-"""Sine of a cone's half-angle that is as good as a half-space."""
 
 
 def _largest_cosine(w, a, segment):
@@ -145,10 +139,8 @@ def _largest_cosine(w, a, segment):
 def _turns_enough(straight, eta, towards_L, towards_V):
     """Whether refraction can turn light as far as to the segment: by at most acos(min(eta, 1 / eta))."""
     k = dr.minimum(eta, dr.rcp(eta))
-    turn = _Spread(dr.safe_sqrt(1 - dr.square(k)), k).plus(towards_L)
-    sine = turn.sine * towards_V.cosine + turn.cosine * towards_V.sine
-    cosine = turn.cosine * towards_V.cosine - turn.sine * towards_V.sine
-    return (sine <= 0) | (straight >= cosine - tolerances.COSINE)
+    turn = _Spread(dr.safe_sqrt(1 - dr.square(k)), k).plus(towards_L).plus(towards_V)
+    return (turn.sine <= 0) | (straight >= turn.cosine - tolerances.COSINE)
 
 
 def _may_be_normal(omega_L, axis, normals, a, t, segment, eta, sign, rho):

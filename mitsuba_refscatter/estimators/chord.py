@@ -21,7 +21,7 @@ def meeting(P, omega, segment):
 @dataclass
 class Chord:
     """The zero line of the linear g in a beam: the corner M of the rays that look for the curve, the edge points
-    E1 and E2 from there, twice the area of M E1 E2, and g at the corner."""
+    E1 and E2 from there, twice the area of M E1 E2, g at the corner, and whether g changes its sign at all (``active``)."""
 
     M: object
     to_E1: object
@@ -80,7 +80,7 @@ def limits_at(point, t, s, tri, segment, lighting):
 
 
 def _corner_limits(piece, tri, lighting, segment):
-    """``limits_at`` at the corners of a piece, three values each."""
+    """``limits_at`` at the corners of a piece, three values each; the cosine to the light times positive lengths."""
     t, s, facing, leaving = [], [], [], []
     for P, omega, uv in zip(piece.P, piece.omega, piece.uv()):
         t_i, s_i = meeting(P, omega, segment)

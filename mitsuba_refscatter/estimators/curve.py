@@ -92,13 +92,13 @@ def _clip(limits, tau0, tau1):
 def accumulate(sums, pairs, segments, culling, lighting, accuracy):
     """Adds what the light beams of ``pairs`` bring to their segments to ``sums``.
 
-    First the pairs whose light path is proven to be free, without any shadow ray; then the others. Returns the
-    pairs that were left out since their curves must be cut first.
+    Where culling has proofs, first the pairs that they show free, without any shadow ray, then the others; otherwise all at
+    once. Returns the pairs that were left out since their curves must be cut first.
     """
     arguments = (sums, segments, culling, lighting, accuracy)
 
     def proof(lighting, point, tri, s, taken, active):
-        free = (s < taken.clear if lighting.inside is not None else True) & taken.proven_lit
+        free = lighting.proven(s, taken)
         return free, ~free
 
     def rays(lighting, point, tri, s, taken, active):
@@ -162,7 +162,7 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
             attenuation *= _sinhc(0.5 * change)
         total += dr.select(active & finite, value * attenuation, 0)
     is_open &= ~cut
-    sums.add(pairs, total, contributes & ~(is_open | cut), resolved)
+    sums.add(pairs, total, contributes & ~(is_open | cut), resolved, pairs.share())
     sums.eval(is_open, cut)
     return is_open, cut
 

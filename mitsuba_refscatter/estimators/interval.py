@@ -13,8 +13,7 @@ it finds the points of the curve, where the point form (``point_form``) is summe
 - Samples are regular in x, with t a quadratic of x that has the gradient's slopes at both ends, instead of in t: the
   integrand, which grows like |t - t_c|^(-1/2) at a fold, is then bounded. With equal slopes both are the same.
 - The residual of Newton's method is q x n instead of the half vector's (``solve.constraint``), so that eta may be near
-  or equal to 1, and a step that makes it larger is halved.
-- D is one formula for interpolated and for facet normals.
+  or equal to 1.
 """
 
 from dataclasses import dataclass
@@ -60,7 +59,6 @@ def accumulate(sums, pairs, segments, culling, lighting, accuracy):
         dr.eval(fold)
         for a, b in ((start, fold), (fold, end)):
             _sample(sums, pairs, a, b, mi.Bool(True), segments, culling, lighting, accuracy)
-    return None
 
 
 class _Curves:
@@ -190,5 +188,5 @@ def _sample(sums, pairs, a, b, exists, segments, culling, lighting, accuracy):
     end = dr.while_loop(state, lambda i, *_: i < n, sample, label="samples", mode="symbolic")
     total, contributes, found = end[1], end[2], end[3]
     # Next to a fold, or where a whole curve has nearly the same t, samples fail: t is not known to enough digits.
-    sums.add(pairs, total, contributes, resolved=2 * found >= n)
+    sums.add(pairs, total, contributes, mi.Float(found) >= tolerances.FOUND * mi.Float(n), pairs.share())
     sums.eval()

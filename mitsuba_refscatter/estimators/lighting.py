@@ -12,7 +12,7 @@ from .. import lanes, optics
 class Lighting:
     """What an estimator knows of light and body besides the triangles.
 
-    ``L``: position of the light (Point3f, body coordinates), one for all camera segments or one for each; ``eta``;
+    ``L``: position of the light (Point3f, body coordinates), one for all camera segments or one for each (points of an area); ``eta``;
     ``side``: the sign of eta - 1 (kernels differ); ``g``: asymmetry of Henyey-Greenstein or None for isotropic;
     ``lit(P, Ng, L, active)``, ``inside(P, Ng, direction, length, active)``: visibility tests, or None where nothing
     can be in the way.
@@ -50,6 +50,10 @@ class Lighting:
         """Phase function in 1/sr; ``cosine`` is +1 for forward scattering."""
         return optics.isotropic() if self.g is None else optics.henyey_greenstein(cosine, self.g)
 
+    def proven(self, s, taken):
+        """Where culling has proven that nothing is in the way from the light to P and on to P + s omega."""
+        return (s < taken.clear if self.inside is not None else True) & taken.proven_lit
+
     def visible(self, P, Ng, omega, s, taken, active):
         """``active`` where nothing is in the way from the light to ``P`` and on to P + s omega."""
         if self.inside is not None:
@@ -82,11 +86,11 @@ class Sums:
         if self.candidates is not None:
             dr.scatter_add(self.candidates, mi.Float(1), pairs.segment, mask)
 
-    def add(self, pairs, total, contributes, resolved):
-        """Adds the ``total`` of pairs to their segments."""
+    def add(self, pairs, total, contributes, resolved, share=1):
+        """Adds the ``total`` of pairs to their segments; each counts as ``share`` contributions."""
         dr.scatter_add(self.value, total, pairs.segment, contributes)
         if self.contributions is not None:
-            dr.scatter_add(self.contributions, pairs.share(), pairs.segment, contributes)
+            dr.scatter_add(self.contributions, mi.Float(share), pairs.segment, contributes)
             dr.scatter_add(self.unresolved, mi.Float(1), pairs.segment, contributes & ~resolved)
 
     def add_all(self, other, weight, index):

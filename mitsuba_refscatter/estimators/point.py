@@ -3,11 +3,12 @@
 For each sample point V all light paths L -> P -> V over all candidate triangles are found and summed by the point form
 (``point_form``). Departures from the publication:
 
-- A triangle is cut where refraction is far from linear on it, until one root per part is all there can be: near a
-  caustic one triangle has several.
-- The samples are stratified in the angle under which the light, unrefracted, would see the segment (equiangular).
+- A triangle is cut where refraction is far from linear on it, until one root per part is all there is (a bound
+  from six points, no proof): near a caustic one triangle has several.
+- The samples are stratified in the angle under which the light, unrefracted, would see the segment (equiangular; Kulla and
+  Fajardo 2012).
 - The residual of Newton's method is q x n instead of the half vector's (``solve.constraint``), so that eta may be near
-  or equal to 1, and a step that makes it larger is halved.
+  or equal to 1.
 - Triangles are found by the same test in a tree whose nodes are spheres and cones of normals, but all triangles of a
   sample point are found first and then solved together.
 """
@@ -33,7 +34,7 @@ def queries(segments, lighting, first, several, n, seed):
     lane, count = dr.arange(mi.UInt32, several * len(segments)), dr.opaque(mi.UInt32, len(segments))
     index, k = lane % count, dr.opaque(mi.UInt32, first) + lane // count
     segment = segments.gather(index)
-    x = (mi.Float(k) + mi.sample_tea_float32(index, dr.opaque(mi.UInt32, seed) + k)) / dr.opaque(mi.Float, n)
+    x = (mi.Float(k) + mi.sample_tea_float32(k * count + index, dr.opaque(mi.UInt32, seed))) / dr.opaque(mi.Float, n)
     to_light = lighting.at(index).L - segment.o
     foot = dr.dot(to_light, segment.d)
     h = dr.maximum(dr.norm(to_light - foot * segment.d), tolerances.NEAREST * segment.t_max)
@@ -112,7 +113,6 @@ def accumulate(sums, pairs, segments, culling, lighting, accuracy):
     failed = (solution.status == int(newton.Status.OUT_OF_ITERATIONS)) | (active & ~finite)
     sums.add(pairs, dr.select(active & finite, value, 0), active, ~failed)
     sums.eval()
-    return None
 
 
 def _cross(a, b):

@@ -32,6 +32,12 @@ class Triangle:
         """Positions of the corners."""
         return [self.P0, self.P0 + self.P_u, self.P0 + self.P_v]
 
+    def ball(self):
+        """Centre and radius of a sphere around the triangle."""
+        centre = self.P0 + (self.P_u + self.P_v) / 3
+        a, b, c = (dr.norm(p - centre) for p in self.corners())
+        return centre, dr.maximum(a, dr.maximum(b, c))
+
     def corner_normals(self):
         """Unit normals at the corners."""
         return [self.n0, self.n0 + self.n_u, self.n0 + self.n_v]

@@ -22,7 +22,7 @@ ESTIMATORS = {"curve": curve, "interval": interval, "point": point}
 
 
 class RefscatterIntegrator(mi.SamplingIntegrator):
-    """Single scattering in media with refractive boundaries, without noise.
+    """Single scattering in media with refractive boundaries; without noise, but for the estimator ``point``.
 
     .. pluginparameters::
 
@@ -34,15 +34,16 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
      * - culling
        - |string|
        - How triangles are found for a segment: ``beams`` (light beams, made once per light) or ``spindle`` (the test of
-         both publications, made for nothing in advance). (Default: beams)
+         both publications, nothing made per light). (Default: beams)
      * - tolerance
        - |float|
-       - Relative error of the single-scattering image that is aimed at, 0 to 1; 0 is exact to float32.
+       - Relative error of the single-scattering image that is aimed at, 0 to 1; 0 is exact to float32 (``curve``).
          (Default: 0.01)
      * - samples
        - |int|
-       - Samples per interval (``interval``; as published: 1) or per camera segment (``point``); 0: as many as the
-         tolerance asks for. Not with ``curve``. (Default: 0)
+       - Samples per interval (``interval``; as published: 1) or per camera segment (``point``); 0: chosen by
+         the tolerance, which ``point`` does not reach: its noise is about 0.5 / sqrt(samples). Not with ``curve``.
+         (Default: 0)
      * - internal_bounces
        - |int|
        - Internal reflections of the camera ray, and hits from outside after the first. (Default: 4)
@@ -62,16 +63,16 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
 
         'type': 'refscatter', 'tolerance': 0.01, 'surfaces': False
 
-        # As published in 2015:
+        # Nearest to the publication of 2015:
         'type': 'refscatter', 'estimator': 'interval', 'culling': 'spindle', 'samples': 1
 
-    The implementation departs from the published methods where they lose light or digits:
+    The implementation departs from the published methods where light or digits would be lost:
 
-    - Intervals and roots are searched from the zeros of g on a triangle's edges and, where refraction is far from
-      linear, on parts of it: the published searches from one start per triangle lose curves (``estimators.interval``,
-      ``estimators.point``).
+    - Intervals are searched from the zeros of g on a triangle's edges, not from the camera ray's intersection with its
+      plane, where the walk to the edges may lose the curve (``estimators.interval``). For both estimators triangles
+      are cut where refraction is far from linear on them.
     - Newton's method solves q x n = 0 (q = 0 at eta = 1), which holds its digits near eta = 1, instead of the half
-      vector's constraint, damped (``solve.constraint``, ``solve.newton``).
+      vector's constraint (``solve.constraint``).
     - Intervals are split at folds, and samples are regular in the curve's own parameter (``estimators.interval``).
     - The spindle culling tests, besides the spindle and the normals, whether the refracted light line can meet the
       segment (``culling.spindle``).

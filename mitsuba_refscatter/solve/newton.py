@@ -50,8 +50,8 @@ def solve(system, x, domain, limits, active=True):
 
     ``system(x0, x1) -> (r, c0, c1)``: residual and its two derivatives (vectors of 3 numbers), always together.
     ``domain(x0, x1) -> Bool``: where the iteration may be. Each step is that of the pseudo-inverse,
-    -(J^T J)^-1 J^T r; where the residual has grown it is taken back and halved. Lanes that are not ``active`` end at
-    once, out of iterations. Returns a ``Solution``.
+    -(J^T J)^-1 J^T r; where the residual has grown it is taken back and halved. Lanes that are not ``active`` are
+    judged at their start and go no further. Returns a ``Solution``.
     """
     UInt32 = dr.uint32_array_t(type(x[0]))
     r, c0, c1 = system(*x)
@@ -115,9 +115,9 @@ def _judge(r, c0, c1, limits):
     UInt32 = dr.uint32_array_t(type(r.x))
     (s0, s1), length, singular = _step(r, c0, c1, limits.parallel)
     size2 = dr.squared_norm(r)
-    # A root, not a place where the residual is smallest: the step takes all of it away.
+    # A root, not a place where the residual is smallest: the step takes it away, but for its second-order part.
     left = dr.norm(r + s0 * c0 + s1 * c1)
-    most = limits.step * dr.sqrt(dr.maximum(dr.squared_norm(c0), dr.squared_norm(c1))) + limits.rounding
+    most = length * dr.sqrt(dr.maximum(dr.squared_norm(c0), dr.squared_norm(c1))) + limits.rounding
     found = (length < limits.step) & (left <= most)
     verdict = dr.select(found, UInt32(int(Status.CONVERGED)), UInt32(_GO_ON))
     verdict = dr.select(singular, int(Status.SINGULAR), verdict)
