@@ -266,11 +266,7 @@ def scaling(
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
 ):
     """Measure cost against the number of triangles, in samples of volpath on the same machine in the same run."""
-    for name in methods:
-        if name not in METHODS:
-            raise typer.BadParameter(
-                f"there is no method '{name}': known are {', '.join(METHODS)}", param_hint="--method"
-            )
+    methods = _known(methods, METHODS, "--method", "method")
     variant = _measurable(variant, directory)
     table = _table("triangles", "method", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray",
                    "contributing/ray", "L1 error", "peak MiB")  # fmt: skip
@@ -302,10 +298,11 @@ def convergence(
         list(convergence_runs.SCENES), "--scene", help="One of the scenes made by code; repeatable."
     ),
     resolution: int = typer.Option(32, "--resolution", min=1, help="Pixels on a side."),
-    most: int = typer.Option(4096, "--most", min=1, help="Largest number of samples."),
+    most: int = typer.Option(16384, "--most", min=16, help="Largest number of samples."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
 ):
     """Plot how the estimators interval and point come to what the curve finds as their samples grow."""
+    scenes = _known(scenes, scene_files.BODIES, "--scene", "scene")
     variant = _measurable(variant, directory)
     try:
         import matplotlib  # noqa: F401
@@ -324,6 +321,14 @@ def convergence(
     picture = directory / "convergence.png"
     output.write_file(picture, lambda unfinished: convergence_runs.plot(rows, unfinished))
     out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)
+
+
+def _known(names: list[str], known, option: str, kind: str) -> list[str]:
+    """The names, each once, if all of them are known."""
+    for name in names:
+        if name not in known:
+            raise typer.BadParameter(f"there is no {kind} '{name}': known are {', '.join(known)}", param_hint=option)
+    return list(dict.fromkeys(names))
 
 
 def _measurable(variant: Optional[str], directory: Optional[Path]) -> str:

@@ -146,10 +146,12 @@ class Work:
         """Which pairs exist, where they may contribute, and which of them are too complicated."""
         segment, light = self.segments.gather(pairs.segment), self.lighting.at(pairs.segment).light
         exists = self.culling.plausible(pairs, segment, light)
-        zeros = self.estimator.classify(self.culling.take(pairs, light, exists).piece, segment)
+        taken = self.culling.take(pairs, light, exists)
+        zeros = self.estimator.classify(taken.piece, segment)
         zeros.possible &= exists
         zeros.bracketed &= exists
-        return exists, zeros, zeros.nonlinearity > dr.opaque(mi.Float, self.accuracy.linear)
+        bent = zeros.nonlinearity > dr.opaque(mi.Float, self.accuracy.linear)
+        return exists, zeros, bent | taken.coarse if self.estimator.needs_fine else bent
 
     def solve(self, pairs):
         """Accumulates the pairs, and where the curve is too complicated the parts into which it is cut."""
@@ -190,7 +192,7 @@ class Work:
         quarters.code |= (i & 3) << (2 * quarters.level)
         quarters.level += 1
         _, zeros, bent = self.classify(quarters)
-        bent &= quarters.level < tolerances.MAX_SUBDIVISION
+        bent &= quarters.level < self.culling.most_levels
         solvable, go_on = zeros.bracketed & ~bent, zeros.possible & bent
         dr.eval(quarters.code, quarters.level, quarters.segment, quarters.beam, solvable, go_on)
         return quarters.gather(dr.compress(solvable)), quarters.gather(dr.compress(go_on))

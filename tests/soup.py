@@ -49,7 +49,7 @@ def random_cases(rng, n, eta):
 class Soup:
     """Culling that gives each segment the triangle of its number."""
 
-    for_one_light = False
+    for_one_light, most_levels = False, tolerances.MAX_SUBDIVISION
 
     def __init__(self, patch):
         corners = np.stack([patch.p, patch.p + patch.e1, patch.p + patch.e2], 1)
@@ -62,7 +62,8 @@ class Soup:
     def take(self, pairs, light, active=True):
         tri = triangle.gather(self.records, pairs.beam, active)
         place = pairs.place(mi.Float(0), mi.Float(0), mi.Float(1))
-        return Taken(tri, beam.piece_at(tri, light, *place), mi.Float(0), mi.Bool(False))
+        piece = beam.piece_at(tri, light, *place)
+        return Taken(tri, piece, pairs.code is not None, mi.Float(0), mi.Bool(False), mi.Bool(False))
 
     def triangle_of(self, pairs):
         return pairs.beam
@@ -71,7 +72,7 @@ class Soup:
 class Roots:
     """In place of an estimator: keeps the roots instead of summing what they bring."""
 
-    classify = staticmethod(point.classify)
+    classify, needs_fine = staticmethod(point.classify), point.needs_fine
 
     def __init__(self):
         self.found, self.statuses, self.evaluations = [], np.zeros(len(newton.Status), int), np.zeros(64, int)
@@ -79,7 +80,7 @@ class Roots:
     def accumulate(self, sums, pairs, segments, culling, lighting, accuracy):
         lighting = lighting.at(pairs.segment)
         taken = culling.take(pairs, lighting.light)
-        solution, _, valid = point.roots(pairs, taken, segments.gather(pairs.segment), lighting)
+        solution, _, valid = point.roots(taken, segments.gather(pairs.segment), lighting)
         u, v = (taken.piece.h * x + x0 for x, x0 in zip(solution.x, (taken.piece.u0, taken.piece.v0)))
         dr.eval(u, v, valid, solution.status, solution.iterations)
         kept = np.array(valid)

@@ -22,13 +22,13 @@ LIGHT, CAMERA = (-2.6, 2.4, -0.9), (0.0, 1.1, 5.2)
 @pytest.mark.parametrize("scene", convergence.SCENES)
 def test_estimators_converge_to_the_same_image(rgb, scene):
     """As their samples grow, interval and point come to within 1 % of the curve (relative L1 over the image)."""
-    rows = convergence.run(scene, 4096, variant=rgb, resolution=16)
+    rows = convergence.run(scene, 16384, variant=rgb, resolution=10)
     error = {(row["method"], row["samples"]): row["mean_relative_error"] for row in rows}
     print({key: f"{value:.1e}" for key, value in error.items()})
     for method, counts in convergence.SAMPLES.items():
         assert error[method, counts[-1]] < 0.01
     assert error["interval", 64] < 2e-3
-    assert error["point", 4096] < error["point", 16] / 4
+    assert error["point", 16384] < error["point", 16] / 6
 
 
 @pytest.fixture
@@ -66,10 +66,11 @@ def test_every_combination(rgb, scene_at, eta, g):
     truth = render(scene, tolerance=0.0)
     assert truth.mean() > 0
     for estimator, culling in COMBINATIONS:
-        error, bias = errors(truth, render(scene, estimator=estimator, culling=culling))
+        samples = {"samples": 128} if estimator == "point" else {}
+        error, bias = errors(truth, render(scene, estimator=estimator, culling=culling, **samples))
         print(f"eta {eta}, {estimator} by {culling}: {error:.1e}, bias {bias:+.1e}")
-        assert error < (0.2 if estimator == "point" else 0.01)
-        assert abs(bias) < (0.02 if estimator == "point" else 5e-3)
+        assert error < (0.15 if estimator == "point" else 0.01)
+        assert abs(bias) < (0.03 if estimator == "point" else 5e-3)
 
 
 def test_every_variant(variant, scene_at):
@@ -118,7 +119,7 @@ def test_interval_in_t(rgb):
     t0, t1, s0, s1 = rng.uniform(-0.5, 1.5, (4, n))
     s0, s1 = np.abs(s0) * np.sign(t1 - t0), np.abs(s1) * np.sign(t1 - t0)
     s0[::4], s1[1::4] = 0, 0  # folds
-    ends = [interval._End(mi.Vector2f(0), mi.Float(t), mi.Float(s)) for t, s in ((t0, s0), (t1, s1))]
+    ends = [interval._End(mi.Vector2f(0), mi.Float(t), mi.Float(s), mi.Float(t)) for t, s in ((t0, s0), (t1, s1))]
     span = interval._range(*ends, mi.Float(np.ones(n)))
     low, high = np.clip(np.minimum(t0, t1), 0, 1), np.clip(np.maximum(t0, t1), 0, 1)
     first, last = np.array(span.first), np.array(span.last)

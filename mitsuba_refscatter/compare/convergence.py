@@ -12,7 +12,7 @@ from . import results
 SCENES = {"bumpy_sphere": 1280, "rounded_cube": 1280, "branches": 4000}
 """Scenes and the number of triangles of their bodies, about."""
 
-SAMPLES = {"interval": (1, 4, 16, 64), "point": (16, 64, 256, 1024, 4096)}
+SAMPLES = {"interval": (1, 4, 16, 64), "point": (16, 64, 256, 1024, 4096, 16384)}
 """Samples per interval and per camera segment."""
 
 CULLING = "spindle"

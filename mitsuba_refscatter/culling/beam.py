@@ -29,7 +29,7 @@ def sub_triangle(code, level):
     parent, 3 is the middle one, turned by half a turn (h < 0).
     """
     u, v, h = mi.Float(0), mi.Float(0), mi.Float(1)
-    for k in range(tolerances.MAX_SUBDIVISION):
+    for k in range(2 * tolerances.MAX_SUBDIVISION):
         digit = (code >> (2 * k)) & 3
         active = level > k
         half = 0.5 * h
@@ -94,6 +94,17 @@ def piece_at(tri, light, u0, v0, h):
         curved = dr.maximum(curved, 2 * dr.abs(inside - 0.5 * (c_V2[j] + c_V2[k])))
     bend = dr.select(low < curved, dr.maximum(bend, dr.safe_sqrt(high + curved)), bend)
     return Piece(list(P), list(omega), bend, twist, u0, v0, h)
+
+
+def excess(piece, L):
+    """How many times the size of beams, or the turn of their directions, is what ``tolerances.NEAR`` and ``TURN`` allow."""
+    distance = fold(dr.minimum, [dr.norm(L - p) for p in piece.P])
+    out = mi.Float(0)
+    for j, k in ((0, 1), (1, 2), (2, 0)):
+        edge, turn = dr.norm(piece.P[j] - piece.P[k]), dr.norm(piece.omega[j] - piece.omega[k])
+        near = edge / (tolerances.NEAR * dr.maximum(distance, 1e-30))
+        out = dr.maximum(out, dr.maximum(near, turn / tolerances.TURN))
+    return out
 
 
 def numbers(piece, clear):

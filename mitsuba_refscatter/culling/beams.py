@@ -33,6 +33,8 @@ class Beams:
     count: int
     tree: bvh.Tree
 
+    most_levels = tolerances.MAX_SUBDIVISION
+    """Levels to which beams are cut for single segments, besides those when they were made."""
     for_one_light = True
     """Made for one light point: knows the zeros of g before an estimator does, and proofs of visibility."""
 
@@ -55,7 +57,9 @@ class Beams:
         piece = light_beam.unpack(x)
         if pairs.code is not None:
             piece = light_beam.piece_at(tri, light, *pairs.place(piece.u0, piece.v0, piece.h))
-        return Taken(tri, piece, x[23], dr.gather(mi.Bool, self.proven_lit, pairs.beam, active))
+        proven_lit = dr.gather(mi.Bool, self.proven_lit, pairs.beam, active)
+        # Beams are cut when they are made until they are fine.
+        return Taken(tri, piece, True, x[23], proven_lit, mi.Bool(False))
 
 
 def _lit(tri, L):
@@ -77,18 +81,15 @@ def _levels(tri, light, size, bend):
     Its bend is below ``bend`` times its width (both at the distance ``size``; per level the bend falls by 4, the
     width by 2), and its edges and directions are within ``tolerances.NEAR`` and ``TURN``.
     """
-    P, omega, _ = zip(*(light_beam.refracted(tri, u, v, *light) for u, v in light_beam.CORNERS))
-    distance = light_beam.fold(dr.minimum, [dr.norm(light[0] - p) for p in P])
-    width, deviation, excess = mi.Float(0), mi.Float(0), mi.Float(0)
+    piece = light_beam.piece_at(tri, light, mi.Float(0), mi.Float(0), mi.Float(1))
+    P, omega = piece.P, piece.omega
+    width, deviation = mi.Float(0), mi.Float(0)
     for i, (u, v) in enumerate(light_beam.MIDDLES):
         j, k = (i + 1) % 3, (i + 2) % 3
         _, middle, _ = light_beam.refracted(tri, u, v, *light)
         deviation = dr.maximum(deviation, size * dr.norm(middle - 0.5 * (omega[j] + omega[k])))
-        edge, turn = dr.norm(P[j] - P[k]), dr.norm(omega[j] - omega[k])
-        width = dr.maximum(width, edge + size * turn)
-        near = edge / (tolerances.NEAR * dr.maximum(distance, 1e-30))
-        excess = dr.maximum(excess, dr.maximum(near, turn / tolerances.TURN))
-    excess = dr.maximum(excess, deviation / dr.maximum(bend * width, 1e-30))
+        width = dr.maximum(width, dr.norm(P[j] - P[k]) + size * dr.norm(omega[j] - omega[k]))
+    excess = dr.maximum(light_beam.excess(piece, light[0]), deviation / dr.maximum(bend * width, 1e-30))
     level = dr.ceil(dr.log2(dr.clip(excess, 1e-6, 1e6)))
     return mi.UInt32(dr.clip(level, 0, tolerances.MAX_SUBDIVISION))
 

@@ -62,13 +62,16 @@ class Pairs:
 
 @dataclass
 class Taken:
-    """What culling knows of pairs: triangle, light beam (``beam.Piece``), length to which the beam is proven to be
-    free inside the body, and whether all of it is proven to be lit."""
+    """What culling knows of pairs: triangle; light beam (``beam.Piece``); whether some of these may be parts of triangles
+    only; length to which the beam is proven to be free inside the body; whether all of it is proven to be lit; and whether
+    it is too large for one sample of the light (``coarse``)."""
 
     tri: object
     piece: object
+    parts: bool
     clear: object
     proven_lit: object
+    coarse: object
 
 
 def pairs_at(lane, leaf, index):

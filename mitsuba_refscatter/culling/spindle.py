@@ -28,6 +28,7 @@ class Spindle:
     """The tree over the triangles of a body, and its tests. Independent of the light."""
 
     for_one_light = False
+    most_levels = 2 * tolerances.MAX_SUBDIVISION
 
     def __init__(self, body, records):
         self.surface = Surface(
@@ -65,7 +66,9 @@ class Spindle:
         """``Taken``: triangles and light beams for pairs; nothing is proven."""
         _, tri = self.surface.at(pairs.beam, active)
         place = pairs.place(mi.Float(0), mi.Float(0), mi.Float(1))
-        return Taken(tri, light_beam.piece_at(tri, light, *place), mi.Float(0), mi.Bool(False))
+        piece = light_beam.piece_at(tri, light, *place)
+        coarse = light_beam.excess(piece, light[0]) > 1
+        return Taken(tri, piece, pairs.code is not None, mi.Float(0), mi.Bool(False), coarse)
 
 
 def _pack(bounds):

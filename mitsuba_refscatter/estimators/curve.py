@@ -30,6 +30,9 @@ from .chord import chord_of, limits_at, meeting
 classify = light_beam.classify
 """Where a pair may contribute: the zeros of g."""
 
+needs_fine = True
+"""Whether light beams must be so small that few samples of the light on them do."""
+
 
 @dataclass
 class _Point:

@@ -32,14 +32,18 @@ from .chord import chord_of, meeting
 classify = light_beam.classify
 """Where a pair may contribute: the zeros of g."""
 
+needs_fine = True
+"""Whether light beams must be so small that few samples of the light on them do."""
+
 
 @dataclass
 class _End:
-    """A point of the curve: (u, v), t, and dt by the position along the chord (``slope``)."""
+    """A point of the curve: (u, v), t, dt by the position along the chord (``slope``), and t + s (``path``)."""
 
     uv: object
     t: object
     slope: object
+    path: object
 
     def gather(self, index):
         return _End(*(lanes.gather(x, index) for x in vars(self).values()))
@@ -88,7 +92,7 @@ class _Curves:
         def system(x, lam):
             uv = self.chord.M + lam * D
             V = segment.o + (t + x * unit) * segment.d
-            c = self._residual(V, uv)
+            c = self._connect(V, uv).residual(self.lighting.straight)
             return c.value, c.by_t * unit, c.by_u * D.x + c.by_v * D.y
 
         solution = newton.solve(
@@ -99,13 +103,14 @@ class _Curves:
         )
         x, lam = (dr.select(solution.converged, a, b) for a, b in zip(solution.x, (0, 1)))
         uv, t = self.chord.M + lam * D, t + x * unit
-        tangent = self._residual(segment.o + t * segment.d, uv).tangent()
+        path = self._connect(segment.o + t * segment.d, uv)
+        tangent = path.residual(self.lighting.straight).tangent()
         forward = tangent.y * self.along.x + tangent.z * self.along.y
-        return _End(uv, t, tangent.x * dr.squared_norm(self.along) / dr.select(forward == 0, 1, forward))
+        slope = tangent.x * dr.squared_norm(self.along) / dr.select(forward == 0, 1, forward)
+        return _End(uv, t, slope, t + path.s)
 
-    def _residual(self, V, uv):
-        path = connect(self.tri, self.lighting.light, V, self.segment.d, uv.x, uv.y)
-        return path.residual(self.lighting.straight)
+    def _connect(self, V, uv):
+        return connect(self.tri, self.lighting.light, V, self.segment.d, uv.x, uv.y)
 
     def fold(self, start, end):
         """Where t turns back between two points at which its slopes differ in sign: regula falsi for the slope."""
@@ -116,7 +121,7 @@ class _Curves:
             before = (turn.slope > 0) == (at_lo > 0)
             lo, at_lo = dr.select(before, tau, lo), dr.select(before, turn.slope, at_lo)
             hi, at_hi = dr.select(before, hi, tau), dr.select(before, at_hi, turn.slope)
-        return _End(turn.uv, turn.t, dr.zeros(mi.Float, dr.width(turn.t)))
+        return _End(turn.uv, turn.t, dr.zeros(mi.Float, dr.width(turn.t)), turn.path)
 
 
 @dataclass
@@ -158,6 +163,9 @@ def _sample(sums, pairs, a, b, exists, segments, culling, lighting, accuracy):
     taken, sigma_t = culling.take(pairs, lighting.light), segments.sigma_t_of(pairs.segment)
     piece, n = taken.piece, dr.opaque(mi.UInt32, accuracy.interval_samples)
     span = _range(a, b, segment.t_max)
+    if accuracy.adapts:
+        depth = dr.max(sigma_t) * dr.abs(b.path - a.path) * (span.last - span.first)
+        n += mi.UInt32(mi.Float(n) * dr.clip(depth * tolerances.DEPTH_SAMPLES, 0, tolerances.MOST_SAMPLES))
     step = (span.last - span.first) / mi.Float(n)
     exists = exists & (step > 0)
     along, forward = b.uv - a.uv, dr.sign(span.change)

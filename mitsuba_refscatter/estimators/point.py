@@ -24,6 +24,9 @@ from ..solve import newton
 from ..solve.constraint import connect
 from . import point_form
 
+needs_fine = False
+"""Whether light beams must be small: each root is exact."""
+
 
 def queries(segments, lighting, first, several, n, seed):
     """Of ``n`` sample points of each segment the ones from ``first`` on, ``several`` per segment.
@@ -38,10 +41,11 @@ def queries(segments, lighting, first, several, n, seed):
     to_light = lighting.at(index).L - segment.o
     foot = dr.dot(to_light, segment.d)
     h = dr.maximum(dr.norm(to_light - foot * segment.d), tolerances.NEAREST * segment.t_max)
-    start, end = dr.atan2(-foot, h), dr.atan2(segment.t_max - foot, h)
-    offset = h * dr.tan(start + x * (end - start))
-    t = dr.clip(foot + offset, 0, segment.t_max)
-    weight = (end - start) * (dr.square(h) + dr.square(offset)) / (h * dr.opaque(mi.Float, n))
+    # Angles from the segment's start on, without differences of large ones: lights may be far away.
+    angle = dr.atan2(h * segment.t_max, dr.square(h) - foot * (segment.t_max - foot))
+    T = dr.tan(x * angle)
+    t = dr.clip(T * (dr.square(h) + dr.square(foot)) / (h + foot * T), 0, segment.t_max)
+    weight = angle * (dr.square(h) + dr.square(t - foot)) / (h * dr.opaque(mi.Float, n))
     sigma_t = segments.sigma_t_of(index)
     points = replace(segment, o=segment.o + t * segment.d, t_max=dr.zeros(mi.Float, dr.width(t)), sigma_t=sigma_t)
     return index, points, weight * dr.exp(-sigma_t * t)
@@ -79,8 +83,8 @@ def classify(piece, segment):
     return light_beam.Zeros(possible, possible, [*areas, area], bound, nonlinearity)
 
 
-def roots(pairs, taken, segment, lighting):
-    """The root of each pair's light beam for V = the segment's origin: ``(solution, path, valid)``, at most one.
+def roots(taken, segment, lighting):
+    """The root of each light beam for V = the segment's origin: ``(solution, path, valid)``, at most one.
 
     ``path``: the ``Connection`` at the root; ``valid``: whether there is one, inside the beam's own triangle.
     """
@@ -90,7 +94,7 @@ def roots(pairs, taken, segment, lighting):
     start /= dr.maximum(1, start.x + start.y)
     solution = point_form.root(taken, lighting, segment.o, segment.d, start, tolerances.OUTSIDE)
     piece, tri, (a, b) = taken.piece, taken.tri, solution.x
-    if pairs.code is not None:
+    if taken.parts:
         a, b = point_form.in_double(taken, lighting, segment.o, segment.d, solution.x)
     # A root on the edge between two parts of a triangle belongs to one of them: the middle ones (h < 0) are open
     # where the others are closed.
@@ -106,7 +110,7 @@ def accumulate(sums, pairs, segments, culling, lighting, accuracy):
     segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
     taken = culling.take(pairs, lighting.light)
     tri = taken.tri
-    solution, path, active = roots(pairs, taken, segment, lighting)
+    solution, path, active = roots(taken, segment, lighting)
     active = lighting.visible(path.P, tri.Ng, path.omega_V, path.s, taken, active)
     value = point_form.in_scattered(path, tri, segment.d, lighting, segments.sigma_t_of(pairs.segment))
     finite = dr.all(dr.isfinite(value))

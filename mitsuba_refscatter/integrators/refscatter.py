@@ -150,7 +150,9 @@ class Prepared:
         self.scene = read(scene)
         self.accuracy = tolerances.accuracy(opt.tolerance)
         if opt.samples:
-            self.accuracy = replace(self.accuracy, interval_samples=opt.samples, point_samples=opt.samples)
+            self.accuracy = replace(
+                self.accuracy, interval_samples=opt.samples, point_samples=opt.samples, adapts=False
+            )
         self.estimator, self.culling = ESTIMATORS[opt.estimator], opt.culling
         self.counts = wavefront.Counts()
         self._lights, self._clearances, self._spindles = {}, {}, {}
