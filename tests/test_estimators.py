@@ -5,7 +5,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from meshes import bumpy_sphere
+from meshes import box, bumpy_sphere, icosphere
 
 from mitsuba_refscatter import wavefront
 from mitsuba_refscatter.compare import convergence
@@ -159,3 +159,51 @@ def test_sample_points_of_segments(rgb, n):
         )
     # Strata make the error fall faster than 1/sqrt(n).
     assert np.abs(total / exact - 1).max() < (0.05 if n == 64 else 0.003)
+
+
+# ---- Extremes -------------------------------------------------------------------------------
+
+
+def extreme(tmp_path, mesh, light, eta=1.5, density=1.0, intensity=10.0):
+    """A small image of a body at 0 as a scene."""
+    shape = build.mesh_shape(mesh, tmp_path / "body.ply", eta=eta)
+    shape["interior"]["scale"] = float(density)
+    sensor = {
+        "type": "perspective", "fov": 35, "to_world": mi.ScalarTransform4f().look_at([0.7, 0.9, 4], [0, 0, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 12, "height": 12, "rfilter": {"type": "box"}, "component_format": "float32"},
+        "sampler": {"type": "independent", "sample_count": 1},
+    }  # fmt: skip
+    light = build.point_light(light, (intensity,) * 3)
+    return mi.load_dict({"type": "scene", "sensor": sensor, "body": shape, "light": light})
+
+
+@pytest.mark.parametrize("distance", [1e2, 1e4, 1e6])
+def test_distant_lights(rgb, tmp_path, distance):
+    """Nothing is lost to float32 where all of the segment is seen under a tiny angle."""
+    light = distance * np.array([-0.02, -0.05, -1])
+    scene = extreme(tmp_path, bumpy_sphere(3), light, intensity=10 * distance**2)
+    truth = render(scene, tolerance=0.0)
+    assert errors(truth, render(scene, estimator="point", samples=4096))[0] < 0.02
+    assert errors(truth, render(scene, estimator="interval", culling="spindle"))[0] < 0.01
+
+
+@pytest.mark.parametrize("density", [3, 20, 100])
+def test_dense_media(rgb, tmp_path, density):
+    """Large triangles across which nearly all light is absorbed: intervals get as many samples as that takes."""
+    scene = extreme(tmp_path, icosphere(2), (-3, 3, 1), density=density)
+    truth = render(scene, tolerance=0.0)
+    for culling in ("beams", "spindle"):
+        error, bias = errors(truth, render(scene, estimator="interval", culling=culling))
+        assert error < 0.01 and abs(bias) < 5e-3, (culling, error, bias)
+
+
+@pytest.mark.parametrize(("light", "eta"), [((-1.02, 0.3, 0.1), 1.5), ((-1.5, 0.6, 0.4), 0.4), ((-3, 3, 1), 1.5)])
+def test_coarse_box(rgb, tmp_path, light, eta):
+    """Twelve triangles and a light near to one of them: spindles cut them as finely as beams."""
+    scene = extreme(tmp_path, box((-1, -1, -1), (1, 1, 1)), light, eta=eta)
+    truth = render(scene, tolerance=0.0)
+    for estimator in ("curve", "interval"):
+        for culling in ("beams", "spindle"):
+            exact, rough = (render(scene, estimator=estimator, culling=culling, tolerance=t) for t in (0.0, 0.01))
+            assert errors(truth, exact)[0] < 1e-3, (estimator, culling)
+            assert errors(truth, rough)[0] < 0.015, (estimator, culling)
