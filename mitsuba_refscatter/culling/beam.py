@@ -79,19 +79,14 @@ def piece_at(tri, light, u0, v0, h):
     direction, as g is: 4/3 of |edge| |change| / 4.
     """
     P, omega, c_V2 = zip(*(refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light) for u, v in CORNERS))
-    bend, twist, curved, low, high = (
-        mi.Float(0),
-        mi.Float(0),
-        mi.Float(0),
-        fold(dr.minimum, c_V2),
-        fold(dr.maximum, c_V2),
-    )
+    bend, twist, curved = mi.Float(0), mi.Float(0), mi.Float(0)
     for i, (u, v) in enumerate(MIDDLES):
         j, k = (i + 1) % 3, (i + 2) % 3
         _, middle, inside = refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light)
         bend = dr.maximum(bend, 2 * dr.norm(middle - 0.5 * (omega[j] + omega[k])))
         twist = dr.maximum(twist, dr.norm(P[j] - P[k]) * dr.norm(omega[j] - omega[k]) / 3)
         curved = dr.maximum(curved, 2 * dr.abs(inside - 0.5 * (c_V2[j] + c_V2[k])))
+    low, high = fold(dr.minimum, c_V2), fold(dr.maximum, c_V2)
     bend = dr.select(low < curved, dr.maximum(bend, dr.safe_sqrt(high + curved)), bend)
     return Piece(list(P), list(omega), bend, twist, u0, v0, h)
 

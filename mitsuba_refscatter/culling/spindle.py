@@ -117,11 +117,8 @@ class _Spread:
 
     def plus(self, other):
         """Both half-angles added."""
-        sine, cosine = (
-            self.sine * other.cosine + self.cosine * other.sine,
-            self.cosine * other.cosine - self.sine * other.sine,
-        )
-        return _Spread(sine, cosine)
+        sine = self.sine * other.cosine + self.cosine * other.sine
+        return _Spread(sine, self.cosine * other.cosine - self.sine * other.sine)
 
     @property
     def over_90(self):

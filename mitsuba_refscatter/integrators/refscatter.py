@@ -10,7 +10,7 @@ from ..culling import beams as light_beams
 from ..culling.clearance import Clearance
 from ..culling.spindle import Spindle
 from ..estimators import curve, interval, point
-from ..estimators.lighting import Lighting
+from ..estimators.lighting import Lighting, Sums
 from ..scene import SceneError, read, refuse_gradients
 from ..wavefront import Segments
 
@@ -134,13 +134,13 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         if opt.surfaces:
             shown, hit = shade(self.nested, prepared.scene.mi_scene, paths, sampler, ray, n)
         extra = {
-            "single_scatter": lambda: film.to_rgb(ray_weight * single.radiance, ray.wavelengths),
+            "single_scatter": lambda: film.to_rgb(ray_weight * single.value, ray.wavelengths),
             "surfaces": lambda: film.to_rgb(ray_weight * shown + dr.zeros(mi.Spectrum, n), ray.wavelengths),
             "candidates": lambda: [single.candidates],
             "contributions": lambda: [single.contributions],
             "unresolved": lambda: [dr.select(single.unresolved > 0, mi.Float(1), 0)],
         }
-        return single.radiance + shown, hit, [x for name in wanted for x in extra[name]()]
+        return single.value + shown, hit, [x for name in wanted for x in extra[name]()]
 
 
 class Prepared:
@@ -159,14 +159,14 @@ class Prepared:
 
     def lit(self, body, light):
         """``(lighting, culling)`` of a light in a body, made at first use; the culling is None if nothing is lit."""
-        key = (body.index, light.index)
-        if key not in self._lights:
-            L = dr.opaque(mi.Point3f, [float(x) for x in light.position - body.centre])
-            shadows = visibility.Shadows(self.scene, body, light.position, L)
-            side = (body.eta > 1) - (body.eta < 1)
-            lighting = Lighting(L, dr.opaque(mi.Float, body.eta), side, body.g, shadows.lit, shadows.inside)
-            self._lights[key] = lighting, self._culling(body, L, shadows)
-        return self._lights[key]
+        return _once(self._lights, (body.index, light.index), lambda: self._lit(body, light))
+
+    def _lit(self, body, light):
+        L = dr.opaque(mi.Point3f, [float(x) for x in light.position - body.centre])
+        shadows = visibility.Shadows(self.scene, body, light.position, L)
+        side = (body.eta > 1) - (body.eta < 1)
+        lighting = Lighting(L, dr.opaque(mi.Float, body.eta), side, body.g, shadows.lit, shadows.inside)
+        return lighting, self._culling(body, L, shadows)
 
     def _culling(self, body, L, shadows):
         records = self.scene.records
@@ -186,18 +186,10 @@ def _once(known, key, make):
     return known[key]
 
 
-class Single:
-    """Sums per camera sample."""
-
-    def __init__(self, n, detail):
-        self.radiance = dr.zeros(mi.Spectrum, n)
-        if detail:
-            self.candidates, self.contributions, self.unresolved = (dr.zeros(mi.Float, n) for _ in range(3))
-
-
 def scatter(prepared, paths, ray, n, seed, detail, progress):
-    """Single scattering of all lights along all segments of the camera paths."""
-    scene, single = prepared.scene, Single(n, detail)
+    """Single scattering of all lights along all segments of the camera paths: ``Sums`` per camera sample, with the
+    radiance itself as ``value``."""
+    scene, single = prepared.scene, Sums.nothing(n, detail)
     work = [(body, light) for body in scene.bodies for light in scene.lights if paths.segments[body.index]]
     for i, (body, light) in enumerate(work):
         lighting, culling = prepared.lit(body, light)
@@ -212,14 +204,8 @@ def scatter(prepared, paths, ray, n, seed, detail, progress):
             segments, culling, lighting, prepared.accuracy, prepared.estimator, seed + i, detail, report
         )
         prepared.counts.add(counts)
-        factor = weight * sigma_s * light.intensity(wavelengths)
-        dr.scatter_add(single.radiance, factor * sums.value, sample)
-        if detail:
-            dr.scatter_add(single.candidates, sums.candidates, sample)
-            dr.scatter_add(single.contributions, sums.contributions, sample)
-            dr.scatter_add(single.unresolved, sums.unresolved, sample)
-        dr.eval(single.__dict__)
-    return single
+        single.add_all(sums, weight * sigma_s * light.intensity(wavelengths), sample)
+    return single.first(n)
 
 
 def shade(nested, mi_scene, paths, sampler, ray, n):
