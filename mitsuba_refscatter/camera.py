@@ -1,10 +1,10 @@
 """From camera rays to the chain of segments inside bodies, with weights.
 
-Each camera ray is followed through the boundaries that it meets. Every hit splits it into the reflected
-and the refracted leg, both deterministically; each part inside a body is a segment along which single
+Each camera ray is followed through the boundaries and mirrors that it meets. A hit with a boundary splits it into the
+reflected and the refracted leg, both deterministically; each part in a region that scatters is a segment along which single
 scattering is collected. A leg goes on while it had at most ``internal_bounces`` internal reflections and
-as many hits from outside after the first. Weights hold Fresnel factors, the change of radiance by the
-index of refraction (1/eta^2 going in, eta^2 going out) and the attenuation inside bodies.
+as many hits from outside (and of mirrors) after the first. Weights hold Fresnel factors, the change of radiance by the
+index of refraction (1/eta^2 going in, eta^2 going out) and the attenuation in media.
 """
 
 from dataclasses import dataclass
@@ -13,21 +13,20 @@ import drjit as dr
 import mitsuba as mi
 
 from . import lanes, optics, tolerances
-from .geometry import mesh as mesh_facts
 from .geometry import triangle
-from .scene import NONE, SceneError
+from .scene import NONE, SceneError, holds
 
 
 @dataclass
 class Legs:
-    """Rays on their way (world coordinates): origin, direction, weight, camera sample, body around (or
+    """Rays on their way (world coordinates): origin, direction, weight, camera sample, region around (or
     NONE), and numbers of internal reflections and of hits from outside so far."""
 
     o: object
     d: object
     weight: object
     sample: object
-    body: object
+    region: object
     reflections: object
     entries: object
 
@@ -45,9 +44,9 @@ class Legs:
 class Paths:
     """What a set of camera rays meets.
 
-    ``segments``: a list, per body, of ``(o, d, t_max, weight, sample)`` in world coordinates;
+    ``segments``: a list, per region, of ``(o, d, t_max, weight, sample)`` in world coordinates;
     ``ends``: ``Legs`` that reach a plain surface or escape (their weight includes the way there);
-    ``direct``: whether the first of these are the camera rays that meet no body; ``hit``: per camera ray, whether
+    ``direct``: whether the first of these are the camera rays that meet no boundary or mirror; ``hit``: per camera ray, whether
     it hits anything.
     """
 
@@ -57,18 +56,22 @@ class Paths:
     hit: object
 
 
-def trace(scene, ray, active, internal_bounces, surfaces, min_weight):
-    """Follows the camera rays. ``scene``: ``scene.Scene``; ``ray``: mi.Ray3f; legs whose weight falls below
-    ``min_weight`` are dropped. ``surfaces``: whether ends are wanted. Returns ``Paths``."""
+def trace(scene, ray, active, start, internal_bounces, surfaces, min_weight):
+    """Follows the camera rays. ``scene``: ``scene.Scene``; ``ray``: mi.Ray3f; ``start``: index of the region in which they
+    start, or NONE; legs whose weight falls below ``min_weight`` are dropped. ``surfaces``: whether ends are wanted.
+    Returns ``Paths``."""
     n = dr.width(ray)
     legs = Legs(
         mi.Point3f(ray.o) + dr.zeros(mi.Point3f, n), ray.d, mi.Spectrum(1) + dr.zeros(mi.Spectrum, n),
-        dr.arange(mi.UInt32, n), dr.full(mi.UInt32, NONE, n), dr.zeros(mi.UInt32, n), dr.zeros(mi.UInt32, n),
+        dr.arange(mi.UInt32, n), dr.opaque(mi.UInt32, start, n), dr.zeros(mi.UInt32, n), dr.zeros(mi.UInt32, n),
     )  # fmt: skip
     if not isinstance(active, bool) or not active:
         legs = legs.gather(dr.compress(mi.Bool(active) & dr.full(mi.Bool, True, n)))
-    paths = Paths([[] for _ in scene.bodies], [], False, dr.zeros(mi.Bool, n))
-    again = internal_bounces > 0 and (surfaces or len(scene.bodies) > 1 or not scene.bodies[0].convex)
+    paths = Paths([[] for _ in scene.regions], [], False, dr.zeros(mi.Bool, n))
+    # Legs that leave a body may still bring something, if only by entering one again.
+    alone = len(scene.bodies) == 1 and scene.bodies[0].convex and scene.mirrors is None
+    around = any(body.outside != NONE and scene.regions[body.outside].scatters for body in scene.bodies)
+    again = around or (internal_bounces > 0 and (surfaces or not alone))
     first = True
     while len(legs) > 0:
         legs = _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, min_weight)
@@ -80,103 +83,136 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     """Takes all legs to their next hit; records segments and ends; returns the legs that go on."""
     pi = scene.mi_scene.ray_intersect_preliminary(mi.Ray3f(legs.o, legs.d), coherent=first)
     hit = pi.is_valid()
-    within = legs.body != NONE
-    target = dr.select(hit, scene.find(dr.select(hit, pi.shape, scene.mi_scene.shapes()[0])), NONE)
+    target = scene.find(pi.shape)
     boundary = target != NONE
+    mirror = mi.Bool(False) if scene.mirrors is None else hit & scene.is_mirror(pi.shape)
     if first:
         dr.scatter(paths.hit, hit, legs.sample)
     index = dr.select(boundary, dr.gather(mi.UInt32, scene.first_record, target, boundary) + pi.prim_index, 0)
     tri = triangle.gather(scene.records, index, boundary)
-    leaving = dr.dot(legs.d, tri.Ng) > 0
-    bad = boundary & (leaving != within)
-    if first:
-        _refuse_camera_inside(scene, legs, target, bad)
-    _refuse_nested(scene, legs.body, target, within & boundary & (legs.body != target))
+    leaving = boundary & (dr.dot(legs.d, tri.Ng) > 0)
+    # The region that the boundary says is around; another one is a slip through an edge, or bodies that touch.
+    table = dr.select(leaving, dr.gather(mi.UInt32, scene.inside, target, boundary),
+                      dr.gather(mi.UInt32, scene.outside, target, boundary))  # fmt: skip
+    other = boundary & (table != legs.region)
+    _refuse_overlaps(scene, legs, pi.t, target, other)
+    # Such a leg has missed one refraction: what that does to radiance is made up for.
+    eta2 = dr.square(dr.gather(mi.Float, scene.eta, target, other))
+    legs.weight = dr.select(other, legs.weight * dr.select(leaving, dr.rcp(eta2), eta2), legs.weight)
+    legs.region = dr.select(other, table, legs.region)
 
-    sigma_t = mi.Spectrum(0)
+    sigma_t, within = mi.Spectrum(0), legs.region != NONE
     wavelengths = lanes.of(ray.wavelengths, legs.sample)
-    for body in scene.bodies:
-        if body.medium is not None:
-            sigma_t = dr.select(legs.body == body.index, body.coefficients(wavelengths)[1], sigma_t)
-    arriving = Legs(**{**legs.__dict__, "weight": legs.weight * dr.exp(-sigma_t * dr.select(within & hit, pi.t, 0))})
-    dr.eval(arriving.weight, hit, within, boundary, bad)
+    for region in scene.regions:
+        if region.medium is not None:
+            sigma_t = dr.select(legs.region == region.index, region.coefficients(wavelengths)[1], sigma_t)
+    length = dr.select(hit, pi.t, tolerances.ENDLESS)
+    arriving = Legs(**{**legs.__dict__, "weight": legs.weight * dr.exp(-sigma_t * dr.select(within, length, 0))})
+    dr.eval(arriving, hit, boundary, mirror, leaving, legs.region)
 
-    for body in scene.bodies:
-        if body.scatters:
-            kept = dr.compress((legs.body == body.index) & hit)
+    for region in scene.regions:
+        if region.scatters:
+            kept = dr.compress((legs.region == region.index) & (True if region.reach else hit))
             if dr.width(kept) > 0:
-                s = legs.gather(kept)
-                paths.segments[body.index].append((s.o, s.d, dr.gather(mi.Float, pi.t, kept), s.weight, s.sample))
+                s, t = legs.gather(kept), dr.gather(mi.Float, length, kept)
+                t = dr.minimum(t, dr.opaque(mi.Float, region.reach)) if region.reach else t
+                paths.segments[region.index].append((s.o, s.d, t, s.weight, s.sample))
     if surfaces:
-        kept = dr.compress(dr.select(hit, ~boundary, ~within))
+        kept = dr.compress(dr.select(hit, ~boundary & ~mirror, dr.max(arriving.weight) > 0))
         if dr.width(kept) > 0:
             paths.ends.append(arriving.gather(kept))
             paths.direct |= first
-    return _split(
-        scene, arriving, pi, tri, target, boundary & ~bad, internal_bounces, again, surfaces, first, min_weight
-    )
+    split = _split(scene, arriving, wavelengths, pi, tri, target, boundary, leaving, internal_bounces, again, surfaces, first, min_weight)
+    if scene.mirrors is not None:
+        split += _reflected(scene, arriving, ray, pi, mirror, internal_bounces, min_weight, first)
+    if not split:
+        return legs.gather(dr.zeros(mi.UInt32, 0))
+    return Legs(*(lanes.concat(x) for x in zip(*(legs.__dict__.values() for legs in split))))
 
 
-def _split(scene, legs, pi, tri, target, active, internal_bounces, again, surfaces, first, min_weight):
-    """The reflected and the refracted legs behind a hit with a boundary."""
-    within = legs.body != NONE
+def _split(scene, legs, wavelengths, pi, tri, target, active, leaving, internal_bounces, again, surfaces, first, min_weight):
+    """The reflected and the refracted legs behind a hit with a boundary, as a list of ``Legs``."""
     centre = dr.gather(mi.Point3f, scene.centre, target, active)
     extent = dr.gather(mi.Float, scene.extent, target, active)
     eta = dr.select(active, dr.gather(mi.Float, scene.eta, target, active), 1)
+    inside, outside = (dr.gather(mi.UInt32, table, target, active) for table in (scene.inside, scene.outside))
     n = tri.normal(pi.prim_uv.x, pi.prim_uv.y)
-    P = tri.position(pi.prim_uv.x, pi.prim_uv.y) + centre
+    P = centre + tri.position(pi.prim_uv.x, pi.prim_uv.y)
     # As in Mitsuba the shading normal says from which side light is refracted, the facet where the ray then is.
-    outside = dr.dot(legs.d, n) < 0
-    n = dr.select(outside, n, -n)
-    cos_i = -dr.dot(legs.d, n)
-    eta_ti = dr.select(outside, eta, dr.rcp(eta))
-    F, cos_t = optics.fresnel(cos_i, eta_ti)
-    entries = legs.entries + dr.select(within, mi.UInt32(0), mi.UInt32(0 if first else 1))
-    reflections = legs.reflections + dr.select(within, mi.UInt32(1), mi.UInt32(0))
+    from_outside = dr.dot(legs.d, n) < 0
+    n = dr.select(from_outside, n, -n)
+    eta_ti = dr.select(from_outside, eta, dr.rcp(eta))
+    F, cos_t = optics.fresnel(-dr.dot(legs.d, n), eta_ti)
+    through, shift = optics.refract(legs.d, n, cos_t, eta_ti), dr.rcp(dr.square(eta_ti))
+    if scene.thin is not None:
+        thin = active & dr.gather(mi.Bool, scene.thin, target, active)
+        F, through, shift = dr.select(thin, optics.twice(F), F), dr.select(thin, legs.d, through), dr.select(thin, 1, shift)
+    entries = legs.entries + dr.select(leaving, mi.UInt32(0), mi.UInt32(0 if first else 1))
+    reflections = legs.reflections + dr.select(leaving, mi.UInt32(1), mi.UInt32(0))
     active &= entries <= internal_bounces
     out = []
-    for d, factor, mirrored in (
-        (optics.reflect(legs.d, n), F, True),
-        (optics.refract(legs.d, n, cos_t, eta_ti), (1 - F) / dr.square(eta_ti), False),
+    for d, factor, mirrored, what in (
+        (optics.reflect(legs.d, n), F, True, "specular_reflectance"),
+        (through, (1 - F) * shift, False, "specular_transmittance"),
     ):
         side = dr.dot(d, tri.Ng)
-        inside = side < 0
-        weight = legs.weight * factor
+        goes_in = side < 0
+        weight = legs.weight * factor * _tints(scene, target, what, wavelengths)
         # Radiance inside is eta^2 smaller in these units; legs are compared as they would be outside.
-        importance = dr.max(weight) * dr.select(inside, dr.square(eta), 1)
+        importance = dr.max(weight) * dr.select(goes_in, dr.square(eta), 1)
         goes_on = active & (importance > min_weight)
         if mirrored:
             goes_on &= reflections <= internal_bounces
         if not surfaces:
-            goes_on &= inside | mi.Bool(again)
+            goes_on &= goes_in | mi.Bool(again)
         origin = P + tri.Ng * dr.copysign(tolerances.CAMERA_OFFSET * extent, side)
-        legs_on = Legs(origin, d, weight, legs.sample, dr.select(inside, target, NONE),
+        legs_on = Legs(mi.Point3f(origin), mi.Vector3f(d), weight, legs.sample, dr.select(goes_in, inside, outside),
                        reflections if mirrored else legs.reflections, entries)  # fmt: skip
         kept = dr.compress(goes_on)
         if dr.width(kept) > 0:
             out.append(legs_on.gather(kept))
-    if not out:
-        return legs.gather(dr.zeros(mi.UInt32, 0))
-    return Legs(*(lanes.concat(x) for x in zip(*(legs.__dict__.values() for legs in out))))
+    return out
 
 
-def _refuse_camera_inside(scene, legs, target, bad):
-    """A first hit from behind: the camera is inside a body, or the ray slipped through an edge."""
-    found = dr.compress(bad)
+def _tints(scene, target, what, wavelengths):
+    """The colours of the boundaries that legs meet."""
+    tint = mi.Spectrum(1)
+    for body in scene.bodies:
+        if what in body.tints:
+            tint = dr.select(target == body.index, body.tint(what, wavelengths), tint)
+    return tint
+
+
+def _reflected(scene, legs, ray, pi, mirror, internal_bounces, min_weight, first):
+    """The legs behind a hit with a mirror, as Mitsuba's BSDF reflects them; a list of at most one ``Legs``."""
+    kept = dr.compress(mirror & (legs.entries + (0 if first else 1) <= internal_bounces))
+    if dr.width(kept) == 0:
+        return []
+    legs, pi = legs.gather(kept), dr.gather(type(pi), pi, kept)
+    leg = mi.RayDifferential3f(mi.Ray3f(legs.o, legs.d))
+    leg.time, leg.wavelengths = lanes.of(ray.time, legs.sample), lanes.of(ray.wavelengths, legs.sample)
+    si = pi.compute_surface_interaction(leg, mi.RayFlags.All)
+    drawn, value = si.bsdf(leg).sample(mi.BSDFContext(), si, mi.Float(0.5), mi.Point2f(0.5))
+    d = si.to_world(drawn.wo)
+    legs.weight = legs.weight * value
+    legs.entries = legs.entries + mi.UInt32(0 if first else 1)
+    side = dr.copysign(dr.norm(si.p) * tolerances.CAMERA_OFFSET, dr.dot(d, si.n))
+    legs.o, legs.d = mi.Point3f(si.p + si.n * side), mi.Vector3f(d)
+    kept = dr.compress(dr.max(legs.weight) > min_weight)
+    return [legs.gather(kept)] if dr.width(kept) > 0 else []
+
+
+def _refuse_overlaps(scene, legs, t, target, other):
+    """Whether legs that meet a boundary from a region that it is not next to come from inside of two bodies."""
+    found = dr.compress(other)
     if dr.width(found) == 0:
         return
-    origin = dr.gather(mi.Point3f, legs.o, found).numpy()[:, 0]
-    body = scene.bodies[int(dr.gather(mi.UInt32, target, found)[0])]
-    if mesh_facts.encloses(body.corners, origin):
-        raise SceneError(
-            f"the camera is inside {body.name}: refscatter supports cameras outside of bodies only; move it out"
-        )
-
-
-def _refuse_nested(scene, around, target, nested):
-    found = dr.compress(nested)
-    if dr.width(found) > 0:
-        a, b = (scene.bodies[int(dr.gather(mi.UInt32, x, found)[0])].name for x in (around, target))
-        raise SceneError(
-            f"{b} is inside or overlaps {a}: refscatter supports bodies apart from each other only; separate them"
-        )
+    few = dr.gather(mi.UInt32, found, dr.arange(mi.UInt32, min(16, dr.width(found))))
+    middle = dr.gather(mi.Point3f, legs.o + 0.5 * t * legs.d, few).numpy().T
+    named = [dr.gather(mi.UInt32, x, few).numpy() for x in (legs.region, target)]
+    for point, here, hit in zip(middle, *named):
+        a = None if here == NONE else scene.regions[here].body
+        b = scene.bodies[hit]
+        if a is not None and a is not b and b.closed and holds(a, point) and holds(b, point):
+            raise SceneError(f"{b.name} overlaps {a.name}: refscatter supports volumes apart from or inside each other only; "
+                             "separate them")  # fmt: skip

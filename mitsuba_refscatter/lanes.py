@@ -4,6 +4,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+NONE = 0xFFFFFFFF
+"""An index that means none."""
+
 
 def array(kind, values):
     """Numbers (a list or NumPy array) as a Dr.Jit array with memory of its own.

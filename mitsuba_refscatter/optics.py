@@ -4,7 +4,36 @@ Conventions: unit vectors point away from the surface point; ``eta = n_in / n_ou
 is a unit vector that points out of the body. All functions take Dr.Jit arrays of any width.
 """
 
+from dataclasses import dataclass
+
 import drjit as dr
+
+
+@dataclass
+class Source:
+    """A light as refraction sees it: a point ``L``, or the direction ``L`` (unit) to a light that is infinitely
+    ``distant``; and ``eta`` of the body that it lights. What it is decides about kernels, so that neither pays for the other."""
+
+    L: object
+    eta: object
+    distant: bool = False
+
+    def to(self, P):
+        """The vector from P to the light; of length 1 if it is distant."""
+        return self.L + 0 * P if self.distant else self.L - P
+
+    def seen_from(self, P):
+        """``(omega_L, d_L)``: unit direction from P to the light, and the distance by whose square its intensity is divided
+        (1 if it is distant: irradiance stands for intensity)."""
+        if self.distant:
+            return self.to(P), 1.0
+        to_light = self.L - P
+        d_L = dr.norm(to_light)
+        return to_light / d_L, d_L
+
+    def turn(self, omega_L, d_L, d_P):
+        """Derivative of omega_L where P moves by ``d_P``."""
+        return 0 * d_P if self.distant else (omega_L * dr.dot(omega_L, d_P) - d_P) / d_L
 
 
 def refract_in(omega_L, n, eta):
@@ -58,6 +87,11 @@ def fresnel(cos_i, eta_ti):
     r_p = (eta_ti * cos_i - cos_t) / dr.maximum(eta_ti * cos_i + cos_t, 1e-12)
     F = 0.5 * (dr.square(r_s) + dr.square(r_p))
     return dr.select(sin2_t >= 1, 1, F), cos_t
+
+
+def twice(F):
+    """Reflectance of a thin sheet, whose two boundaries each reflect F, with all reflections between them."""
+    return 2 * F / (1 + F)
 
 
 def reflect(d, n):

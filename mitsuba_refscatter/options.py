@@ -31,6 +31,10 @@ class Options:
     internal_bounces: int = field(
         default=4, metadata={"range": (0, 64), "meaning": "internal reflections of the camera ray"}
     )
+    light_samples: int = field(
+        default=16,
+        metadata={"range": (1, 1 << 16), "meaning": "light points per pass for emitters that are no point or direction"},
+    )
     surfaces: bool = field(
         default=True, metadata={"meaning": "also show what is seen by reflection and through bodies"}
     )

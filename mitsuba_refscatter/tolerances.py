@@ -15,6 +15,22 @@ SHADOW_END = 1e-4
 CAMERA_OFFSET = 2e-6
 """Relative to the body's largest coordinate: how far camera legs start off a boundary."""
 
+OPAQUE = 20.0
+"""Optical depth behind which nothing is seen of a medium without end: 2e-9 of the light is left."""
+
+ENDLESS = 1e30
+"""Length of a camera leg that meets nothing."""
+
+GRAZING = 1e-3
+"""Smallest cosine to a boundary by which the offset behind it is divided."""
+
+ARRIVAL_OFFSET = 1e-5
+"""Relative to the body's largest coordinate: how far towards the light its way is followed from a boundary."""
+
+BISECTIONS = 10
+"""Halvings that find where along a camera segment the light begins or ends to be blocked: to 1e-3 of a panel of the
+quadrature."""
+
 PARALLEL = 1e-6
 """sin^2 of the angle between light and camera ray below which they have no common point in float32."""
 
@@ -57,6 +73,9 @@ transmittance are then good to a few 1e-3."""
 
 NEAREST = 1e-3
 """Smallest distance of the light from a camera segment's line, relative to its length, that sampling assumes."""
+
+THIN = 1e-3
+"""Optical depth of a segment below which samples are spread over it as if it were this."""
 
 ROOT_STEP = 1e-3
 """Step of Newton's method, relative to the light beam's size (for an interval's end to the ray from the corner), that is
@@ -124,7 +143,7 @@ class Accuracy:
     bent more are subdivided. ``points``: Gauss points along the curve in one beam. ``newton``: Newton
     steps per point. ``weight``: camera legs with a smaller weight are dropped. ``interval_samples``, ``point_samples``: per
     interval and per camera segment, of the estimators of these names; ``point_samples`` do not reach the tolerance, the noise is about 0.5 / sqrt(samples).
-    ``adapts``: whether intervals across which much is absorbed get more.
+    ``panels``, ``panel_points``: of the quadrature for light that is not refracted; ``adapts``: whether intervals across which much is absorbed get more.
     """
 
     bend: float
@@ -135,6 +154,8 @@ class Accuracy:
     clip: float
     interval_samples: int
     point_samples: int
+    panels: int
+    panel_points: int
     adapts: bool = True
 
 
@@ -150,6 +171,8 @@ def accuracy(tolerance):
             clip=0.05,
             interval_samples=1,
             point_samples=8,
+            panels=6,
+            panel_points=2,
         )
     if tolerance >= 0.01:
         return Accuracy(
@@ -161,6 +184,8 @@ def accuracy(tolerance):
             clip=0.01,
             interval_samples=1,
             point_samples=32,
+            panels=12,
+            panel_points=2,
         )
     if tolerance >= 0.001:
         return Accuracy(
@@ -172,6 +197,8 @@ def accuracy(tolerance):
             clip=0.001,
             interval_samples=4,
             point_samples=128,
+            panels=24,
+            panel_points=2,
         )
     return Accuracy(
         bend=0.02,
@@ -182,6 +209,8 @@ def accuracy(tolerance):
         clip=1e-4,
         interval_samples=16,
         point_samples=512,
+        panels=48,
+        panel_points=3,
     )
 
 

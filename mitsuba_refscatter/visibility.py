@@ -15,24 +15,28 @@ from .geometry import silhouette, triangle
 class Shadows:
     """The shadow tests of one light in one body.
 
-    ``lit(P, Ng, L, active)``: nothing between the light point L and P (body coordinates); ``inside(P, Ng, direction,
+    ``lit(P, Ng, L, active)``: nothing between the light and P (body coordinates); ``inside(P, Ng, direction,
     length, active)``: nothing between P and the point at ``length``. A test is None where nothing can be in
-    the way: a convex body does not shadow itself. ``position``: of the light, world; ``L``: the same in body coordinates,
-    for ``seen`` alone.
+    the way: a convex body does not shadow itself. ``light``: ``optics.Source``, one, for ``seen`` alone; ``emitter``: a
+    shape that the light's points lie on, where it is convex: it is not in the way of what it sends; ``straight``: whether
+    light on its way to the body is followed by ``Air`` instead.
     """
 
-    def __init__(self, scene, body, position, L):
-        self.scene, self.body, self.position, self.L = scene, body, position, L
+    def __init__(self, scene, body, light, emitter, straight):
+        self.scene, self.body, self.light = scene, body, light
         self.centre = dr.opaque(mi.Point3f, body.centre)
         self.offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * body.extent)
-        others = scene.others + [other.shape for other in scene.bodies if other is not body]
-        guests = any(_boxes_meet(body.shape.bbox(), shape.bbox()) for shape in others)
-        self.lit = None if body.convex and not others else self._lit
+        other_bodies = [other.shape for other in scene.bodies if other.shape is not body.shape]
+        self.others = [shape for shape in scene.others if shape is not emitter]
+        guests = any(meets(body, shape) for shape in scene.others + other_bodies)
+        self.lit = None if straight or (body.convex and not self.others and not other_bodies) else self._lit
         self.inside = None if body.convex and not guests else self._inside
-        self.may_prove_inside = self.inside is not None and not guests
+        self.may_prove_inside = self.inside is not None and not guests and body.closed
 
     def _lit(self, P, Ng, L, active):
         start = P + self.offset * Ng
+        if self.light.distant:
+            return ~self.scene.mi_scene.ray_test(mi.Ray3f(start + self.centre, mi.Vector3f(L)), active)
         to_light = L - start
         distance = dr.norm(to_light)
         return self._free(start, to_light / distance, distance, active)
@@ -51,35 +55,52 @@ class Shadows:
         if self.lit is None:
             return dr.arange(mi.UInt32, dr.width(triangles)), dr.full(mi.Bool, True, dr.width(triangles))
         corners = self.body.corners[triangles.numpy().astype(np.int64) - self.body.first_record]
-        edges = [silhouette.silhouette_edges(b.corners, b.normals, b.twin, self.position) for b in self.scene.bodies]
-        uniform = self._uniform(corners, np.concatenate(edges), triangles)
-        for shape in self.scene.others:
-            uniform &= self._beside(corners, shape.bbox())
+        light, distant = self._light_in_world(), self.light.distant
+        edges = [
+            silhouette.silhouette_edges(b.corners, b.normals, b.twin, light, distant)
+            for b in (self.body, *(b for b in self.scene.bodies if b.shape is not self.body.shape))
+        ]
+        uniform = self._uniform(corners, np.concatenate(edges), triangles, light)
+        for shape in self.others:
+            uniform &= _beside(corners, shape.bbox(), light, distant)
         tri = triangle.gather(self.scene.records, triangles)
-        visible = self.lit(tri.position(1 / 3, 1 / 3), tri.Ng, self.L, True)
+        visible = self.lit(tri.position(1 / 3, 1 / 3), tri.Ng, self.light.L, True)
         uniform = lanes.array(mi.Bool, uniform)
         kept = dr.compress(visible | ~uniform)
         return kept, dr.gather(mi.Bool, uniform, kept)
 
-    def _uniform(self, corners, edges, triangles):
+    def _light_in_world(self):
+        L = self.light.L.numpy().ravel().astype(np.float64)
+        return L if self.light.distant else L + np.array(self.body.centre)
+
+    def _uniform(self, corners, edges, triangles, light):
         """Which triangles no silhouette edge is in front of."""
-        uniform = silhouette.uniform(corners, edges, self.position)
+        distant = self.light.distant
+        uniform = silhouette.uniform(corners, edges, light, distant)
         rest = np.flatnonzero(~uniform)
         if len(rest) > 0 and len(edges) > 0:
             tri = triangle.gather(
                 self.scene.records, dr.gather(mi.UInt32, triangles, lanes.array(mi.UInt32, rest.astype(np.uint32)))
             )
-            relative = [p - self.L for p in tri.corners()]
+            relative = [p if distant else p - self.light.L for p in tri.corners()]
             skin = tolerances.SHADOW_OFFSET * self.body.extent
-            uniform[rest] = ~silhouette.covered(relative, tri.Ng, edges - self.position, skin).numpy()
+            edges = edges - (np.array(self.body.centre) if distant else light)
+            direction = mi.Vector3f(self.light.L) if distant else None
+            uniform[rest] = ~silhouette.covered(relative, tri.Ng, edges, skin, direction).numpy()
         return uniform
 
-    def _beside(self, corners, box):
-        """Triangles whose box with the light does not meet ``box``: nothing in it can shadow them."""
-        low = np.minimum(corners.min(axis=1), self.position)
-        high = np.maximum(corners.max(axis=1), self.position)
-        return (high < np.array(box.min)).any(axis=1) | (low > np.array(box.max)).any(axis=1)
+
+def _beside(corners, box, light, distant):
+    """Triangles whose box with the light does not meet ``box``: nothing in it can shadow them."""
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    if distant:
+        low, high = np.where(light < 0, -np.inf, low), np.where(light > 0, np.inf, high)
+    else:
+        low, high = np.minimum(low, light), np.maximum(high, light)
+    return (high < np.array(box.min)).any(axis=1) | (low > np.array(box.max)).any(axis=1)
 
 
-def _boxes_meet(a, b):
-    return all(a.min[k] <= b.max[k] and b.min[k] <= a.max[k] for k in range(3))
+def meets(body, shape):
+    """Whether the boxes of a body and of another shape have points in common."""
+    box = shape.bbox()
+    return bool((body.box[0] <= np.array(box.max).ravel()).all() and (np.array(box.min).ravel() <= body.box[1]).all())

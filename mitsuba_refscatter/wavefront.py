@@ -68,7 +68,7 @@ def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=Fal
     pairs are counted. ``progress(done, total)`` is called per chunk. Raises ``ValueError`` for one light point per segment
     where the culling is made for one light.
     """
-    if culling.for_one_light and dr.width(lighting.L) > 1:
+    if culling.for_one_light and dr.width(lighting.light.L) > 1:
         raise ValueError(
             'refscatter: culling "beams" is made for one light point, not for one per segment: use "spindle"'
         )

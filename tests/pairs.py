@@ -201,11 +201,11 @@ class Culling:
     """What the package makes of a scene with one body and one light."""
 
     def __init__(self, scene, **options):
-        from mitsuba_refscatter.integrators.refscatter import Prepared  # made anew for each variant
+        from mitsuba_refscatter.integrators.lit import Prepared  # made anew for each variant
 
         self.prepared = Prepared(scene, Options(**options))
         self.body, light = self.prepared.scene.bodies[0], self.prepared.scene.lights[0]
-        self.lighting, self.culling = self.prepared.lit(self.body, light)
+        self.lighting, self.culling = self.prepared.lit(self.body, self.prepared.scene.regions[0], light.exact)
 
     def segments(self, o, d, t_max):
         o, d = (np.asarray(x, np.float32).T for x in (o - self.body.centre, d))

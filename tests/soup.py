@@ -15,6 +15,7 @@ from mitsuba_refscatter.culling.pairs import Pairs, Taken
 from mitsuba_refscatter.estimators import point
 from mitsuba_refscatter.estimators.lighting import Lighting, Sums
 from mitsuba_refscatter.geometry import triangle
+from mitsuba_refscatter.optics import Source
 from mitsuba_refscatter.solve import newton
 
 # patch; light, V (n,3); uv (n,2): a root that is known.
@@ -44,6 +45,10 @@ def random_cases(rng, n, eta):
     lit = (dot(light - p, patch.ng) > 0) & (x.c_l > 0) & (x.radicand > 0) & (dot(x.omega, patch.ng) < 0)
     keep = np.flatnonzero(lit)
     return Case(Patch(*(y[keep] for y in patch)), light[keep], V[keep], uv[keep])
+
+
+def isotropic(omega, d):
+    return 1 / (4 * np.pi)
 
 
 class Soup:
@@ -108,7 +113,7 @@ def solve(case, eta, tolerance=0.01):
     """All roots that the package finds for cases: ``Roots``."""
     n, roots = len(case.V), Roots()
     light = mi.Point3f(np.asarray(case.light, np.float32).T)
-    lighting = Lighting(light, dr.opaque(mi.Float, eta), int(np.sign(eta - 1)), None, None, None)
+    lighting = Lighting(Source(light, dr.opaque(mi.Float, eta)), int(np.sign(eta - 1)), isotropic, None, None)
     segments = points_as_segments(case.V)
     work = wavefront.Work(Sums.nothing(n), segments, Soup(case.patch), lighting,
                           tolerances.accuracy(tolerance), roots)  # fmt: skip

@@ -16,6 +16,7 @@ from mitsuba_refscatter.culling import beam
 from mitsuba_refscatter.culling import beams as light_beams
 from mitsuba_refscatter.geometry import mesh as mesh_facts
 from mitsuba_refscatter.geometry import silhouette
+from mitsuba_refscatter.optics import Source
 
 LOST = 1e-5
 """Largest share of a body's light that may come from pairs that the culling drops: the rounding of float32."""
@@ -119,19 +120,22 @@ def lights_around(mesh, distances=(1.1, 2.0, 6.0)):
     return [build.rounded(middle + f * radius * w / norm(w)) for f, w in zip(distances, directions)]
 
 
+@pytest.mark.parametrize("distant", [False, True], ids=["near", "distant"])
 @pytest.mark.parametrize("name", concave_bodies())
-def test_uniform_triangles_are_lit_or_dark_throughout(name):
+def test_uniform_triangles_are_lit_or_dark_throughout(name, distant):
     """No triangle that is said to be lit uniformly has points in the light and in shadow."""
     meshes, shares = concave_bodies()[name], []
     tree = BoxTree(meshes)
     for light in lights_around(meshes[0]):
-        edges = np.concatenate([edges_seen(m, light) for m in meshes])
+        light = light / np.linalg.norm(light) if distant else light
+        far = 1e5 * light if distant else light
+        edges = np.concatenate([edges_seen(m, light, distant) for m in meshes])
         for k, mesh in enumerate(meshes):
-            facing = np.flatnonzero(dot(light - mesh.corners[:, 0], mesh.facet_normals) > 0)
-            claimed = silhouette.uniform(mesh.corners[facing], edges, light)
+            facing = np.flatnonzero(dot(far - mesh.corners[:, 0], mesh.facet_normals) > 0)
+            claimed = silhouette.uniform(mesh.corners[facing], edges, light, distant)
             tri, uv = np.repeat(facing, len(INSIDE)), np.tile(INSIDE, (len(facing), 1))
-            point = oracle.light_ray(take(make_patches(mesh, 1.5), tri), uv, light, 1.5).point
-            free = tree.clear(point, np.broadcast_to(light, point.shape), tri + tree.first[k]).reshape(len(facing), -1)
+            point = oracle.light_ray(take(make_patches(mesh, 1.5), tri), uv, far, 1.5).point
+            free = tree.clear(point, np.broadcast_to(far, point.shape), tri + tree.first[k]).reshape(len(facing), -1)
             mixed = free.any(1) & ~free.all(1)
             assert not (claimed & mixed).any()
             shares.append(claimed.mean())
@@ -139,9 +143,9 @@ def test_uniform_triangles_are_lit_or_dark_throughout(name):
     assert np.mean(shares) > LIT_SHARE[name]
 
 
-def edges_seen(mesh, light):
+def edges_seen(mesh, light, distant):
     twin = mesh_facts.twins(mesh_facts.weld(mesh.vertices, mesh.faces))
-    return silhouette.silhouette_edges(mesh.corners, mesh.facet_normals, twin, light)
+    return silhouette.silhouette_edges(mesh.corners, mesh.facet_normals, twin, light, distant)
 
 
 @pytest.mark.parametrize("eta", [0.8, 1.2, 1.5, 2.2])
@@ -216,9 +220,9 @@ def test_no_lit_triangles(rgb, tmp_path):
     culling = Culling(scene)
     body, records = culling.body, culling.prepared.scene.records
     from_inside = light_beams.build(
-        body, records, mi.Point3f(0), 0.1, lambda triangles: pytest.fail("none is lit"), None
+        body, records, Source(mi.Point3f(0), mi.Float(1.5)), 0.1, lambda triangles: pytest.fail("none is lit"), None
     )
-    unseen = light_beams.build(body, records, mi.Point3f(9), 0.1, lambda triangles: (mi.UInt32(), mi.Bool()), None)
+    unseen = light_beams.build(body, records, Source(mi.Point3f(9), mi.Float(1.5)), 0.1, lambda triangles: (mi.UInt32(), mi.Bool()), None)
     assert from_inside is None and unseen is None
 
 

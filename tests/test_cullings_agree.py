@@ -1,5 +1,7 @@
 """Both cullings lead to the same light paths, and to what brute force finds; one light point per segment."""
 
+from dataclasses import replace
+
 import build
 import mitsuba as mi
 import numpy as np
@@ -13,7 +15,7 @@ from pairs import chords, one_body, random_case
 
 from mitsuba_refscatter import wavefront
 from mitsuba_refscatter.estimators import curve, interval, point
-from mitsuba_refscatter.estimators.lighting import Lighting
+from mitsuba_refscatter.optics import Source
 
 SAME = 1e-3
 """Distance in (u, v) within which two roots are the same."""
@@ -83,8 +85,8 @@ def bumpy(rgb, tmp_path):
 def per_segment(lights, choice):
     """The lighting in which each segment has the light of its choice."""
     first = lights[0].lighting
-    L = np.array([np.array(made.lighting.L)[:, 0] for made in lights])[choice]
-    return Lighting(mi.Point3f(L.T), first.eta, first.side, first.g, first.lit, first.inside)
+    L = np.array([np.array(made.lighting.light.L)[:, 0] for made in lights])[choice]
+    return replace(first, light=Source(mi.Point3f(L.T), first.eta))
 
 
 def summed(made, segments, lighting, estimator, **more):

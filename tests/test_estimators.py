@@ -12,6 +12,7 @@ from mitsuba_refscatter.compare import convergence
 from mitsuba_refscatter.compare.methods import METHODS
 from mitsuba_refscatter.estimators import interval, point
 from mitsuba_refscatter.estimators.lighting import Lighting
+from mitsuba_refscatter.optics import Source
 
 COMBINATIONS = [
     (estimator, culling) for estimator in ("curve", "interval", "point") for culling in ("beams", "spindle")
@@ -143,7 +144,7 @@ def test_sample_points_of_segments(rgb, n):
     d = rng.normal(size=(3, count))
     d /= np.linalg.norm(d, axis=0)
     segments = wavefront.Segments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max), mi.Spectrum(sigma_t))
-    lighting = Lighting(mi.Point3f(L), mi.Float(1.5), 1, None, None, None)
+    lighting = Lighting(Source(mi.Point3f(L), mi.Float(1.5)), 1, None, None, None)
     total = np.zeros((3, count))
     for first in (0, n // 2):
         index, points, weight = point.queries(segments, lighting, first, n // 2, n, seed=7)

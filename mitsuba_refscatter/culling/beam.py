@@ -40,12 +40,12 @@ def sub_triangle(code, level):
     return u, v, h
 
 
-def refracted(tri, u, v, L, eta):
-    """Position and refracted direction at (u, v) of triangles lit from ``L`` (continued where unlit), and the square of
+def refracted(tri, u, v, light):
+    """Position and refracted direction at (u, v) of triangles lit by ``light`` (continued where unlit), and the square of
     its cosine, negative under total reflection."""
     P = tri.position(u, v)
-    omega, c_L, _ = optics.refract_in(dr.normalize(L - P), tri.normal(u, v), eta)
-    return P, omega, optics.inside_cosine2(c_L, eta)
+    omega, c_L, _ = optics.refract_in(light.seen_from(P)[0], tri.normal(u, v), light.eta)
+    return P, omega, optics.inside_cosine2(c_L, light.eta)
 
 
 @dataclass
@@ -71,18 +71,18 @@ class Piece:
 
 
 def piece_at(tri, light, u0, v0, h):
-    """``Piece``: the light beams that ``light`` = (L, eta) makes of parts of triangles.
+    """``Piece``: the light beams that ``light`` (``optics.Source``) makes of parts of triangles.
 
     ``bend`` bounds how far omega is from linear, in any direction: a quadratic deviates by at most 4/3 of what it
     does at the edges' middles; 2 leaves room for the cubic part. Where the critical angle may be passed, omega has
     a square root in it: all of c_V may be missed. ``twist`` bounds the same for what is bilinear in position and
     direction, as g is: 4/3 of |edge| |change| / 4.
     """
-    P, omega, c_V2 = zip(*(refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light) for u, v in CORNERS))
+    P, omega, c_V2 = zip(*(refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), light) for u, v in CORNERS))
     bend, twist, curved = mi.Float(0), mi.Float(0), mi.Float(0)
     for i, (u, v) in enumerate(MIDDLES):
         j, k = (i + 1) % 3, (i + 2) % 3
-        _, middle, inside = refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), *light)
+        _, middle, inside = refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), light)
         bend = dr.maximum(bend, 2 * dr.norm(middle - 0.5 * (omega[j] + omega[k])))
         twist = dr.maximum(twist, dr.norm(P[j] - P[k]) * dr.norm(omega[j] - omega[k]) / 3)
         curved = dr.maximum(curved, 2 * dr.abs(inside - 0.5 * (c_V2[j] + c_V2[k])))
@@ -91,14 +91,15 @@ def piece_at(tri, light, u0, v0, h):
     return Piece(list(P), list(omega), bend, twist, u0, v0, h)
 
 
-def excess(piece, L):
+def excess(piece, light):
     """How many times the size of beams, or the turn of their directions, is what ``tolerances.NEAR`` and ``TURN`` allow."""
-    distance = fold(dr.minimum, [dr.norm(L - p) for p in piece.P])
+    distance = None if light.distant else fold(dr.minimum, [dr.norm(light.L - p) for p in piece.P])
     out = mi.Float(0)
     for j, k in ((0, 1), (1, 2), (2, 0)):
         edge, turn = dr.norm(piece.P[j] - piece.P[k]), dr.norm(piece.omega[j] - piece.omega[k])
-        near = edge / (tolerances.NEAR * dr.maximum(distance, 1e-30))
-        out = dr.maximum(out, dr.maximum(near, turn / tolerances.TURN))
+        out = dr.maximum(out, turn / tolerances.TURN)
+        if distance is not None:
+            out = dr.maximum(out, edge / (tolerances.NEAR * dr.maximum(distance, 1e-30)))
     return out
 
 

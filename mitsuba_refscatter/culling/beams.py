@@ -62,12 +62,12 @@ class Beams:
         return Taken(tri, piece, True, x[23], proven_lit, mi.Bool(False))
 
 
-def _lit(tri, L):
+def _lit(tri, light):
     """False only if no point of the triangle is lit: the facet turns away, or n . (L - P) < 0 throughout.
 
     The latter is quadratic in (u, v): the largest of its six Bernstein coefficients bounds it.
     """
-    a, n = [L - p for p in tri.corners()], tri.corner_normals()
+    a, n = [light.to(p) for p in tri.corners()], tri.corner_normals()
     top = dr.dot(n[0], a[0])
     for i in range(3):
         for j in range(i, 3):
@@ -86,24 +86,23 @@ def _levels(tri, light, size, bend):
     width, deviation = mi.Float(0), mi.Float(0)
     for i, (u, v) in enumerate(light_beam.MIDDLES):
         j, k = (i + 1) % 3, (i + 2) % 3
-        _, middle, _ = light_beam.refracted(tri, u, v, *light)
+        _, middle, _ = light_beam.refracted(tri, u, v, light)
         deviation = dr.maximum(deviation, size * dr.norm(middle - 0.5 * (omega[j] + omega[k])))
         width = dr.maximum(width, dr.norm(P[j] - P[k]) + size * dr.norm(omega[j] - omega[k]))
-    excess = dr.maximum(light_beam.excess(piece, light[0]), deviation / dr.maximum(bend * width, 1e-30))
+    excess = dr.maximum(light_beam.excess(piece, light), deviation / dr.maximum(bend * width, 1e-30))
     level = dr.ceil(dr.log2(dr.clip(excess, 1e-6, 1e6)))
     return mi.UInt32(dr.clip(level, 0, tolerances.MAX_SUBDIVISION))
 
 
-def build(body, scene_records, L, bend, seen, clear):
-    """Light beams of the point light at ``L`` (body coordinates, Point3f) in ``body``; None if none is lit.
+def build(body, scene_records, light, bend, seen, clear):
+    """Light beams of ``light`` (``optics.Source``, one, body coordinates) in ``body``; None if none is lit.
 
     ``seen(triangles) -> (kept, proven)``: which triangles the light may reach, as indices into the argument, and
     for each of these whether all of it is known to be lit. ``clear(P, omega, bend)``: length to which beams
     with these corners are known to be free, or None where no beam is ever blocked.
     """
-    light = (L, dr.opaque(mi.Float, body.eta))
     every = dr.opaque(mi.UInt32, body.first_record) + dr.arange(mi.UInt32, body.triangle_count)
-    lit = dr.compress(_lit(triangle.gather(scene_records, every), L))
+    lit = dr.compress(_lit(triangle.gather(scene_records, every), light))
     lit = dr.gather(mi.UInt32, every, lit)
     if dr.width(lit) > 0:
         kept, proven = seen(lit)

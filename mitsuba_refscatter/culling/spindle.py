@@ -54,7 +54,7 @@ class Spindle:
         normals = tri.corner_normals()
         middle = (normals[0] + normals[1] + normals[2]) / 3
         wide = light_beam.fold(dr.maximum, [dr.norm(n - middle) for n in normals])
-        facing = dr.dot(tri.Ng, light[0] - tri.P0) > 0
+        facing = dr.dot(tri.Ng, light.to(tri.P0)) > 0
         possible = _may_refract(tri.ball(), _cone(middle, wide), segment, light, self.eta_above_1)
         return exists & facing & possible
 
@@ -67,7 +67,7 @@ class Spindle:
         _, tri = self.surface.at(pairs.beam, active)
         place = pairs.place(mi.Float(0), mi.Float(0), mi.Float(1))
         piece = light_beam.piece_at(tri, light, *place)
-        coarse = light_beam.excess(piece, light[0]) > 1
+        coarse = light_beam.excess(piece, light) > 1
         return Taken(tri, piece, pairs.code is not None, mi.Float(0), mi.Bool(False), coarse)
 
 
@@ -88,12 +88,12 @@ def _may_refract(ball, cone, segment, light, eta_above_1):
     """False only if no point in the ball (centre, radius) with a normal in the cone (axis, sine of the half-angle) can
     refract light onto the segment."""
     (c, r), (axis, sin_n) = ball, cone
-    L, eta = light
-    to_L, a = L - c, segment.o - c
+    eta, a = light.eta, segment.o - c
     near = dr.norm(a + dr.clip(-dr.dot(a, segment.d), 0, segment.t_max) * segment.d)
-    d_L = dr.norm(to_L)
-    omega_L = to_L / dr.maximum(d_L, 1e-30)
-    towards_L, towards_V = _Spread(r / dr.maximum(d_L, 1e-30)), _Spread(r / dr.maximum(near, 1e-30))
+    to_L = light.to(c)
+    d_L = dr.maximum(dr.norm(to_L), 1e-30)
+    omega_L = to_L / d_L
+    towards_L, towards_V = _Spread(0 * r if light.distant else r / d_L), _Spread(r / dr.maximum(near, 1e-30))
     normals = _Spread(sin_n)
     straight, t = _largest_cosine(-omega_L, a, segment)
     possible = _turns_enough(straight, eta, towards_L, towards_V)

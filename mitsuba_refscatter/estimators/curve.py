@@ -40,6 +40,7 @@ class _Point:
 
     P: object
     n: object
+    omega_L: object
     omega: object
     c_L: object
     c_V: object
@@ -53,16 +54,14 @@ def _evaluate(tri, lighting, segment, u, v, a, b):
     P = tri.position(u, v)
     n, d_n = tri.normal_derivative(u, v, a, b)
     d_P = tri.P_u * a + tri.P_v * b
-    to_light = lighting.L - P
-    d_L = dr.norm(to_light)
-    omega_L = to_light / d_L
-    d_omega_L = (omega_L * dr.dot(omega_L, d_P) - d_P) / d_L
+    omega_L, d_L = lighting.light.seen_from(P)
+    d_omega_L = lighting.light.turn(omega_L, d_L, d_P)
     omega, c_L, c_V = optics.refract_in(omega_L, n, lighting.eta)
     d_omega = optics.refract_in_derivative(omega_L, n, lighting.eta, c_L, c_V, d_omega_L, d_n)
     across = dr.cross(P - segment.o, segment.d)
     g = dr.dot(omega, across)
     slope = dr.dot(d_omega, across) + dr.dot(omega, dr.cross(d_P, segment.d))
-    return _Point(P, n, omega, c_L, c_V, d_L, slope, g)
+    return _Point(P, n, omega_L, omega, c_L, c_V, d_L, slope, g)
 
 
 @dataclass
@@ -156,14 +155,13 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
         free, undecided = shadow(lighting, point, tri, s, taken, active)
         is_open |= active & undecided
         active &= free
-        value = weight * scale * inverse_slope * _integrand(point, tri, lighting, segment)
-        finite = dr.isfinite(value)
+        value = weight * scale * inverse_slope * _integrand(point, tri, lighting, segment) * dr.exp(-sigma_t * (t + s))
+        if accuracy.points == 1:  # the mean of the exponential along the interval, relative to its middle
+            value *= _sinhc(0.5 * change)
+        finite = dr.all(dr.isfinite(value))
         resolved &= ~active | (solved & finite)
         contributes |= active
-        attenuation = dr.exp(-sigma_t * (t + s))
-        if accuracy.points == 1:  # the mean of the exponential along the interval, relative to its middle
-            attenuation *= _sinhc(0.5 * change)
-        total += dr.select(active & finite, value * attenuation, 0)
+        total += dr.select(active & finite, value, 0)
     is_open &= ~cut
     sums.add(pairs, total, contributes & ~(is_open | cut), resolved, pairs.share())
     sums.eval(is_open, cut)
@@ -171,9 +169,11 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
 
 
 def _integrand(point, tri, lighting, segment):
-    """What stands before the attenuation, per area in (u, v) and divided by A2: T |omega . Ng| p / d_L^2."""
+    """What stands before the attenuation, per area in (u, v) and divided by A2: T |omega . Ng| p / d_L^2, for lights that
+    do not send the same into all directions times what they do."""
     measure = optics.transmission(point.c_L, point.c_V, lighting.eta) * dr.abs(dr.dot(point.omega, tri.Ng))
-    return measure * lighting.phase(-dr.dot(point.omega, segment.d)) / dr.square(point.d_L)
+    arriving = lighting.emitted(point.P, point.omega_L, point.d_L) / dr.square(point.d_L)
+    return measure * lighting.phase(point.omega, segment.d) * arriving
 
 
 def _sinhc(x):

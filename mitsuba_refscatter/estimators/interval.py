@@ -84,7 +84,7 @@ class _Curves:
         """The curve's point at tau: Newton's method for t and the position on the ray from M."""
         D, segment = self.chord.direction(tau), self.segment
         uv = self.chord.M + D
-        P, omega, _ = light_beam.refracted(self.tri, uv.x, uv.y, *self.lighting.light)
+        P, omega, _ = light_beam.refracted(self.tri, uv.x, uv.y, self.lighting.light)
         t, _ = meeting(P, omega, segment)
         # t in units of what it changes by per unit of the ray, roughly: as much as P moves.
         unit = dr.norm(self.tri.P_u * D.x + self.tri.P_v * D.y)

@@ -12,27 +12,28 @@ from .. import lanes, optics
 class Lighting:
     """What an estimator knows of light and body besides the triangles.
 
-    ``L``: position of the light (Point3f, body coordinates), one for all camera segments or one for each (points of an area); ``eta``;
-    ``side``: the sign of eta - 1 (kernels differ); ``g``: asymmetry of Henyey-Greenstein or None for isotropic;
-    ``lit(P, Ng, L, active)``, ``inside(P, Ng, direction, length, active)``: visibility tests, or None where nothing
-    can be in the way.
+    ``light``: ``optics.Source`` in body coordinates, its L one for all camera segments or one for each (points of an area);
+    ``side``: the sign of eta - 1 (kernels differ); ``phase(omega, d)``: phase function in 1/sr for light that travels along
+    omega and a camera ray along d; ``lit(P, Ng, L, active)``, ``inside(P, Ng, direction, length, active)``: visibility tests,
+    or None where nothing can be in the way; ``emission(P, omega_L, d_L)``: what arrives at P relative to a light that sends
+    the same into all directions, or None for such a light (``emission.at(segment)``: that of camera segments).
     """
 
-    L: object
-    eta: object
+    light: optics.Source
     side: int
-    g: object
+    phase: object
     lit: object
     inside: object
+    emission: object = None
 
     def at(self, segment):
         """The lighting of camera segments (indices)."""
-        return replace(self, L=lanes.of(self.L, segment))
+        light = replace(self.light, L=lanes.of(self.light.L, segment))
+        return replace(self, light=light, emission=None if self.emission is None else self.emission.at(segment))
 
     @property
-    def light(self):
-        """``(L, eta)``: what decides how light is refracted."""
-        return self.L, self.eta
+    def eta(self):
+        return self.light.eta
 
     @property
     def total_reflection(self):
@@ -46,9 +47,9 @@ class Lighting:
     def shadowless(self):
         return self.lit is None and self.inside is None
 
-    def phase(self, cosine):
-        """Phase function in 1/sr; ``cosine`` is +1 for forward scattering."""
-        return optics.isotropic() if self.g is None else optics.henyey_greenstein(cosine, self.g)
+    def emitted(self, P, omega_L, d_L):
+        """``emission``, or 1."""
+        return 1 if self.emission is None else self.emission(P, omega_L, d_L)
 
     def proven(self, s, taken):
         """Where culling has proven that nothing is in the way from the light to P and on to P + s omega."""
@@ -60,7 +61,7 @@ class Lighting:
             free = s < taken.clear
             active = active & (free | self.inside(P, Ng, omega, s, active & ~free))
         if self.lit is not None:
-            active = active & (taken.proven_lit | self.lit(P, Ng, self.L, active & ~taken.proven_lit))
+            active = active & (taken.proven_lit | self.lit(P, Ng, self.light.L, active & ~taken.proven_lit))
         return active
 
 

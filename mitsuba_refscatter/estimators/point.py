@@ -23,6 +23,7 @@ from ..culling import beam as light_beam
 from ..solve import newton
 from ..solve.constraint import connect
 from . import point_form
+from .spacing import ByAngle, ByDepth
 
 needs_fine = False
 """Whether light beams must be small: each root is exact."""
@@ -38,15 +39,13 @@ def queries(segments, lighting, first, several, n, seed):
     index, k = lane % count, dr.opaque(mi.UInt32, first) + lane // count
     segment = segments.gather(index)
     x = (mi.Float(k) + mi.sample_tea_float32(k * count + index, dr.opaque(mi.UInt32, seed))) / dr.opaque(mi.Float, n)
-    to_light = lighting.at(index).L - segment.o
-    foot = dr.dot(to_light, segment.d)
-    h = dr.maximum(dr.norm(to_light - foot * segment.d), tolerances.NEAREST * segment.t_max)
-    # Angles from the segment's start on, without differences of large ones: lights may be far away.
-    angle = dr.atan2(h * segment.t_max, dr.square(h) - foot * (segment.t_max - foot))
-    T = dr.tan(x * angle)
-    t = dr.clip(T * (dr.square(h) + dr.square(foot)) / (h + foot * T), 0, segment.t_max)
-    weight = angle * (dr.square(h) + dr.square(t - foot)) / (h * dr.opaque(mi.Float, n))
     sigma_t = segments.sigma_t_of(index)
+    if lighting.light.distant:
+        spacing = ByDepth(dr.mean(sigma_t), segment.t_max)
+    else:
+        spacing = ByAngle(lighting.at(index).light.L - segment.o, segment)
+    t = spacing.t(x)
+    weight = dr.rcp(spacing.density(t) * dr.opaque(mi.Float, n))
     points = replace(segment, o=segment.o + t * segment.d, t_max=dr.zeros(mi.Float, dr.width(t)), sigma_t=sigma_t)
     return index, points, weight * dr.exp(-sigma_t * t)
 

@@ -51,7 +51,8 @@ def in_double(taken, lighting, V, d, x):
     """The place ``x`` of a root, improved in double precision: next to a fold it is then known well enough to say in
     which of two neighbouring pieces the root lies."""
     tri, piece = (type(y)(**{k: _double(v) for k, v in vars(y).items()}) for y in (taken.tri, taken.piece))
-    exact = replace(lighting, L=_double(lighting.L), eta=_double(lighting.eta))
+    light = replace(lighting.light, L=_double(lighting.light.L), eta=_double(lighting.light.eta))
+    exact = replace(lighting, light=light)
     system = _system(tri, piece, exact, _double(V), _double(d))
     return newton.improve(system, tuple(_double(y) for y in x), tolerances.DOUBLE_STEPS, tolerances.ROOT_LONGEST)
 
@@ -72,4 +73,5 @@ def in_scattered(path, tri, d, lighting, sigma_t):
     """The term of one root without sigma_s, I, visibility and attenuation along the camera ray."""
     F, _ = optics.fresnel(dr.dot(path.omega_L, path.n), lighting.eta)
     value = (1 - F) * dr.square(lighting.eta) / path.distance_correction(tri)
-    return value * lighting.phase(-dr.dot(path.omega_V, d)) * dr.exp(-sigma_t * path.s)
+    value *= lighting.emitted(path.P, path.omega_L, path.d_L)
+    return value * lighting.phase(path.omega_V, d) * dr.exp(-sigma_t * path.s)

@@ -12,18 +12,19 @@ def weld(vertices, faces):
 def twins(faces):
     """Pairs each directed edge with its reverse.
 
-    Edge ``3 f + k`` runs from corner k of face f to corner k + 1. Returns the twin of each edge, or None if
-    an edge has none or several: the mesh then has a hole, or faces of inconsistent orientation.
+    Edge ``3 f + k`` runs from corner k of face f to corner k + 1. Returns the twin of each edge, -1 where it has none (a
+    hole); or None if an edge has several, or faces are of inconsistent orientation.
     """
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     n = int(faces.max()) + 1
     forward, backward = tail.astype(np.int64) * n + head, head.astype(np.int64) * n + tail
     i, j = np.argsort(forward), np.argsort(backward)
     keys = forward[i]
-    if (keys[1:] == keys[:-1]).any() or (keys != backward[j]).any():
+    if (keys[1:] == keys[:-1]).any():
         return None
+    place = np.minimum(np.searchsorted(backward[j], keys), len(keys) - 1)
     twin = np.empty(len(keys), dtype=np.int64)
-    twin[i] = j
+    twin[i] = np.where(backward[j][place] == keys, j[place], -1)
     return twin
 
 

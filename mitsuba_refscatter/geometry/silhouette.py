@@ -1,8 +1,10 @@
 """Which triangles are lit uniformly: no silhouette seen from the light lies in front of them.
 
+A light is given as ``light`` (3 numbers) and ``distant``: a point, or the unit direction to one that is infinitely far.
+
 Along a triangle the number of surfaces between it and a light changes only where the line of sight
-passes a silhouette edge (between a facet that faces the light and one that does not). Triangles with no
-silhouette edge in front of them in the light's view are therefore all lit or all in shadow. Holds for closed
+passes a silhouette edge (between a facet that faces the light and one that does not, or the edge of a hole). Triangles with no
+silhouette edge in front of them in the light's view are therefore all lit or all in shadow. Holds for
 meshes that do not cut through each other or themselves. A raster of the light's view (NumPy float64) settles most
 triangles, an exact test of all edges (Dr.Jit) the others.
 """
@@ -21,24 +23,27 @@ MOST_STEPS = 4_000_000
 """Points at which edges are put on the raster, at most: bounds time and memory."""
 
 
-def silhouette_edges(corners, normals, twin, light):
-    """Edges (E, 2, 3) between facets that face the light and facets that do not."""
-    facing = np.einsum("fi,fi->f", normals, light - corners[:, 0]) > 0
-    first = np.flatnonzero((facing[np.arange(len(twin)) // 3] != facing[twin // 3]) & (np.arange(len(twin)) < twin))
+def silhouette_edges(corners, normals, twin, light, distant):
+    """Edges (E, 2, 3) between facets that face the light and facets that do not, and those of holes."""
+    to_light = np.broadcast_to(light, normals.shape) if distant else light - corners[:, 0]
+    facing = np.einsum("fi,fi->f", normals, to_light) > 0
+    edge = np.arange(len(twin))
+    first = np.flatnonzero((twin < 0) | ((facing[edge // 3] != facing[twin // 3]) & (edge < twin)))
     return np.stack([corners.reshape(-1, 3)[first], np.roll(corners, -1, axis=1).reshape(-1, 3)[first]], axis=1)
 
 
-def uniform(corners, edges, light):
+def uniform(corners, edges, light, distant):
     """For each triangle of ``corners`` (F, 3, 3): True if none of ``edges`` (E, 2, 3) is in front of it as seen
     from ``light``. Conservative on a raster of the light's view; False throughout where the view is too wide
     or the edges too long for it."""
-    view, none = _view(corners, light), np.zeros(len(corners), dtype=bool)
+    view, none = _view(corners, light, distant), np.zeros(len(corners), dtype=bool)
     if view is None:
         return none
-    edge_points, edge_depth = _project(edges.reshape(-1, 3) - light, view)
-    if (edge_depth <= 0).any():  # an edge beside or behind the light may cross the view anywhere
+    origin = 0 if distant else light
+    edge_points, edge_depth = _project(edges.reshape(-1, 3) - origin, view, distant)
+    if not distant and (edge_depth <= 0).any():  # an edge beside or behind the light may cross the view anywhere
         return none
-    points, depth = _project(corners.reshape(-1, 3) - light, view)
+    points, depth = _project(corners.reshape(-1, 3) - origin, view, distant)
     points = points.reshape(-1, 3, 2)
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
     levels = int(np.clip(np.ceil(np.log2(8 * np.sqrt(len(corners)))), 6, 11))
@@ -53,10 +58,10 @@ def uniform(corners, edges, light):
     return _least(nearest, first, last) > depth.reshape(-1, 3).max(axis=1)
 
 
-def _view(corners, light):
+def _view(corners, light, distant):
     """Axes (3, 3) of the light's view, the last towards the triangles; None where they fill too wide a field."""
-    to = corners.reshape(-1, 3) - light
-    to /= np.linalg.norm(to, axis=1, keepdims=True)
+    to = -light[None] if distant else corners.reshape(-1, 3) - light
+    to = to / np.linalg.norm(to, axis=1, keepdims=True)
     axis = to.mean(axis=0)
     length = np.linalg.norm(axis)
     if length < WIDEST or (to @ (axis / length)).min() < WIDEST:
@@ -67,10 +72,10 @@ def _view(corners, light):
     return np.stack([side, np.cross(axis, side), axis])
 
 
-def _project(to, view):
-    """Perspective projection (n, 2) and depth along the axis (n,)."""
+def _project(to, view, distant):
+    """Projection (n, 2), perspective but for distant lights, and depth along the axis (n,)."""
     x = to @ view.T
-    return x[:, :2] / np.where(x[:, 2] > 0, x[:, 2], 1)[:, None], x[:, 2]
+    return (x[:, :2], x[:, 2]) if distant else (x[:, :2] / np.where(x[:, 2] > 0, x[:, 2], 1)[:, None], x[:, 2])
 
 
 def _raster(edges, depth, cells):
@@ -86,7 +91,8 @@ def _raster(edges, depth, cells):
     inside = ((cell >= 0) & (cell < cells)).all(axis=1)
     nearest = np.full((cells, cells), np.inf, dtype=np.float32)
     # float32 may round up: a little nearer is safe.
-    np.minimum.at(nearest, tuple(cell[inside].T), (depth[edge[inside]] * (1 - 1e-6)).astype(np.float32))
+    depth = depth - 1e-6 * np.abs(depth)
+    np.minimum.at(nearest, tuple(cell[inside].T), depth[edge[inside]].astype(np.float32))
     return nearest
 
 
@@ -103,20 +109,25 @@ def _least(raster, first, last):
     return out
 
 
-def covered(corners, normal, edges, skin):
+def covered(corners, normal, edges, skin, direction):
     """Whether any edge is in front of triangles: lanes of three ``corners`` (Vector3f), the facet's ``normal``; edges
-    (E, 2, 3), all relative to the light. Edges within ``skin`` of a triangle's plane do not count."""
+    (E, 2, 3), all relative to the light, or to any place if it is distant in ``direction`` (None if it is not). Edges within
+    ``skin`` of a triangle's plane do not count."""
     flat, count = lanes.array(mi.Float, np.asarray(edges, np.float32).ravel()), dr.opaque(mi.UInt32, len(edges))
     skin = dr.opaque(mi.Float, skin)
     sides = []
     for k in range(3):
-        n = dr.normalize(dr.cross(corners[k], corners[(k + 1) % 3]))
-        sides.append(n * dr.sign(dr.dot(n, corners[(k + 2) % 3])))
+        if direction is None:
+            n, base = dr.normalize(dr.cross(corners[k], corners[(k + 1) % 3])), mi.Vector3f(0)
+        else:
+            n, base = dr.normalize(dr.cross(corners[(k + 1) % 3] - corners[k], direction)), corners[k]
+        n *= dr.sign(dr.dot(n, corners[(k + 2) % 3] - base))
+        sides.append((n, dr.dot(n, base)))
 
     def test(j, found):
         a, b = (dr.gather(mi.Vector3f, flat, 2 * j + k) for k in range(2))
         slack = 1e-5 * dr.maximum(dr.norm(a), dr.norm(b))  # float32: better a little wider
-        ends = [(dr.dot(n, a) + slack, dr.dot(n, b) + slack) for n in sides]
+        ends = [(dr.dot(n, a) - at + slack, dr.dot(n, b) - at + slack) for n, at in sides]
         ends.append((dr.dot(normal, a - corners[0]) - skin, dr.dot(normal, b - corners[0]) - skin))
         low, high = positive_part(ends)
         return j + 1, found | (low <= high)

@@ -1,28 +1,19 @@
 """The Mitsuba plugin ``refscatter``. Reloaded by ``plugin.py`` for every variant."""
 
-from dataclasses import replace
-
 import drjit as dr
 import mitsuba as mi
 
-from .. import camera, film, lanes, options, platform, tolerances, visibility, wavefront
-from ..culling import beams as light_beams
-from ..culling.clearance import Clearance
-from ..culling.spindle import Spindle
-from ..estimators import curve, interval, point
-from ..estimators.lighting import Lighting, Sums
-from ..scene import SceneError, read, refuse_gradients
-from ..wavefront import Segments
+from .. import camera, film, lanes, options, platform, wavefront
+from ..scene import SceneError, refuse_gradients
+from .lit import Prepared, scatter
 
 NESTED_WITH_MEDIA = ("Volumetric", "VolpathMis", "PRBVolpath", "Refscatter")
 """Parts of the names of integrators that sample media, as they show in descriptions, too."""
 
 
-ESTIMATORS = {"curve": curve, "interval": interval, "point": point}
-
-
 class RefscatterIntegrator(mi.SamplingIntegrator):
-    """Single scattering in media with refractive boundaries; without noise, but for the estimator ``point``.
+    """Single scattering in media with refractive boundaries; without noise, but for the estimator ``point`` and for lights
+    that are not a point or a direction.
 
     .. pluginparameters::
 
@@ -46,7 +37,11 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
          (Default: 0)
      * - internal_bounces
        - |int|
-       - Internal reflections of the camera ray, and hits from outside after the first. (Default: 4)
+       - Internal reflections of the camera ray, and hits from outside and of mirrors after the first. (Default: 4)
+     * - light_samples
+       - |int|
+       - Light points per pass for emitters that are not a point or a direction. With the culling ``beams`` all camera
+         samples of a pass share them, with ``spindle`` each has its own. (Default: 16)
      * - surfaces
        - |bool|
        - Also what is seen by reflection and through the bodies, shaded by the nested integrator.
@@ -99,7 +94,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             raise RuntimeError("refscatter cannot run inside a symbolic loop or call: call it on evaluated rays")
         refuse_gradients(scene)
         with dr.suspend_grad():
-            return self._sample(Prepared(scene, self.options), sampler, ray, mi.Spectrum(1), active, None)
+            return self._sample(Prepared(scene, self.options), medium, sampler, ray, mi.Spectrum(1), active, None)
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
         platform.require_usable(mi.variant())
@@ -107,18 +102,15 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             if not scene.sensors():
                 raise SceneError("the scene has no sensor: add one")
             sensor = scene.sensors()[sensor]
-        if sensor.get_medium() is not None:
-            raise SceneError(
-                "the sensor is inside a medium: refscatter supports cameras outside of media only; remove it"
-            )
         refuse_gradients(scene)
         with dr.suspend_grad():
             prepared = Prepared(scene, self.options)
             self.counts = prepared.counts
-            return film.render(lambda *a: self._sample(prepared, *a), sensor, seed, spp, self.aov_names(),
+            medium = sensor.get_medium()
+            return film.render(lambda *a: self._sample(prepared, medium, *a), sensor, seed, spp, self.aov_names(),
                                develop, evaluate, self.progress)  # fmt: skip
 
-    def _sample(self, prepared, sampler, ray, ray_weight, active, progress):
+    def _sample(self, prepared, medium, sampler, ray, ray_weight, active, progress):
         """One wavefront of camera rays: chain, single scattering along it, surfaces at its ends.
 
         ``ray_weight`` is the sensor's; it goes into the channels that show radiance, not into the result.
@@ -126,8 +118,11 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         n, opt = dr.width(ray), self.options
         wanted = options.aov_list(opt)
         ray = mi.Ray3f(ray)
-        paths = camera.trace(prepared.scene, ray, active, opt.internal_bounces, opt.surfaces, prepared.accuracy.weight)
-        seed = seed_from(sampler) if opt.estimator == "point" else 0
+        start = prepared.start(medium, ray)
+        paths = camera.trace(
+            prepared.scene, ray, active, start, opt.internal_bounces, opt.surfaces, prepared.accuracy.weight
+        )
+        seed = seed_from(sampler) if opt.estimator == "point" or prepared.draws else 0
         single = scatter(prepared, paths, ray, n, seed, detail=bool({"candidates", "contributions", "unresolved"} & set(wanted)),
                          progress=progress)  # fmt: skip
         shown, hit = mi.Spectrum(0), paths.hit
@@ -141,71 +136,6 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             "unresolved": lambda: [dr.select(single.unresolved > 0, mi.Float(1), 0)],
         }
         return single.value + shown, hit, [x for name in wanted for x in extra[name]()]
-
-
-class Prepared:
-    """What one render needs to know of a scene, read once: records, accuracy, estimator, culling."""
-
-    def __init__(self, scene, opt):
-        self.scene = read(scene)
-        self.accuracy = tolerances.accuracy(opt.tolerance)
-        if opt.samples:
-            self.accuracy = replace(
-                self.accuracy, interval_samples=opt.samples, point_samples=opt.samples, adapts=False
-            )
-        self.estimator, self.culling = ESTIMATORS[opt.estimator], opt.culling
-        self.counts = wavefront.Counts()
-        self._lights, self._clearances, self._spindles = {}, {}, {}
-
-    def lit(self, body, light):
-        """``(lighting, culling)`` of a light in a body, made at first use; the culling is None if nothing is lit."""
-        return _once(self._lights, (body.index, light.index), lambda: self._lit(body, light))
-
-    def _lit(self, body, light):
-        L = dr.opaque(mi.Point3f, [float(x) for x in light.position - body.centre])
-        shadows = visibility.Shadows(self.scene, body, light.position, L)
-        side = (body.eta > 1) - (body.eta < 1)
-        lighting = Lighting(L, dr.opaque(mi.Float, body.eta), side, body.g, shadows.lit, shadows.inside)
-        return lighting, self._culling(body, L, shadows)
-
-    def _culling(self, body, L, shadows):
-        records = self.scene.records
-        if self.culling == "spindle":
-            return _once(self._spindles, body.index, lambda: Spindle(body, records))
-        clear = None
-        if shadows.may_prove_inside:
-            corners = body.corners - body.centre
-            clear = _once(self._clearances, body.index, lambda: Clearance(records, body.first_record, corners)).clear
-        return light_beams.build(body, records, L, self.accuracy.bend, shadows.seen, clear)
-
-
-def _once(known, key, make):
-    """``known[key]``, made at first use."""
-    if key not in known:
-        known[key] = make()
-    return known[key]
-
-
-def scatter(prepared, paths, ray, n, seed, detail, progress):
-    """Single scattering of all lights along all segments of the camera paths: ``Sums`` per camera sample, with the
-    radiance itself as ``value``."""
-    scene, single = prepared.scene, Sums.nothing(n, detail)
-    work = [(body, light) for body in scene.bodies for light in scene.lights if paths.segments[body.index]]
-    for i, (body, light) in enumerate(work):
-        lighting, culling = prepared.lit(body, light)
-        if culling is None:
-            continue
-        o, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[body.index]))
-        wavelengths = lanes.of(ray.wavelengths, sample)
-        sigma_s, sigma_t = body.coefficients(wavelengths)
-        segments = Segments(o - mi.Point3f(dr.opaque(mi.Point3f, body.centre)), d, t_max, sigma_t)
-        report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
-        sums, counts = wavefront.scatter(
-            segments, culling, lighting, prepared.accuracy, prepared.estimator, seed + i, detail, report
-        )
-        prepared.counts.add(counts)
-        single.add_all(sums, weight * sigma_s * light.intensity(wavelengths), sample)
-    return single.first(n)
 
 
 def shade(nested, mi_scene, paths, sampler, ray, n):

@@ -113,20 +113,20 @@ class Connection:
 
 
 def connect(tri, light, V, d, u, v):
-    """``Connection`` of ``light`` = (L, eta), the point (u, v) of triangles and ``V``, which moves along ``d``."""
-    L, eta = light
+    """``Connection`` of ``light`` (``optics.Source``), the point (u, v) of triangles and ``V``, which moves along ``d``."""
+    eta = light.eta
     P = tri.position(u, v)
     n, n_u = tri.normal_derivative(u, v, 1, 0)
     _, n_v = tri.normal_derivative(u, v, 0, 1)
-    to_light, to_V = L - P, V - P
-    d_L = dr.norm(to_light)
+    to_V = V - P
+    omega_L, d_L = light.seen_from(P)
     s = dr.norm(to_V) * dr.select(dr.dot(to_V, tri.Ng) > 0, -1, 1)
-    omega_L, omega_V = to_light / d_L, to_V / s
+    omega_V = to_V / s
 
-    def turn(omega, move, distance):
-        return (move - omega * dr.dot(omega, move)) / distance
+    def turn(move):
+        return (move - omega_V * dr.dot(omega_V, move)) / s
 
-    q_u, q_v = (-turn(omega_L, P_x, d_L) - eta * turn(omega_V, P_x, s) for P_x in (tri.P_u, tri.P_v))
+    q_u, q_v = (light.turn(omega_L, d_L, P_x) - eta * turn(P_x) for P_x in (tri.P_u, tri.P_v))
     s_t, s_u, s_v = dr.dot(omega_V, d), -dr.dot(omega_V, tri.P_u), -dr.dot(omega_V, tri.P_v)
-    return Connection(P, n, omega_L, d_L, omega_V, s, omega_L + eta * omega_V, eta * turn(omega_V, d, s), q_u, q_v,
+    return Connection(P, n, omega_L, d_L, omega_V, s, omega_L + eta * omega_V, eta * turn(d), q_u, q_v,
                       n_u, n_v, s_t, s_u, s_v)  # fmt: skip

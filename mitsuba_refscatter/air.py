@@ -1,0 +1,114 @@
+"""Light that goes straight: what is left of it behind media and boundaries that do not refract (null, thin dielectric).
+
+Every other surface, a dielectric too, blocks it.
+"""
+
+from dataclasses import dataclass, replace
+
+import drjit as dr
+import mitsuba as mi
+
+from . import lanes, optics, tolerances
+from .geometry import triangle
+
+BLOCKED = 0xFFFFFFFF
+"""Number of boundaries crossed that means that something is in the way."""
+
+
+@dataclass
+class Air:
+    """Straight lines through the regions of a scene (``scene.Scene``). ``wavelengths``: one set, or one per camera segment."""
+
+    scene: object
+    wavelengths: object
+
+    def at(self, segment):
+        return replace(self, wavelengths=lanes.of(self.wavelengths, segment))
+
+    def follow(self, start, direction, distance, region, active=True):
+        """From points ``start`` (world) in ``region`` (an index) to what is ``distance`` away (or ``tolerances.ENDLESS``).
+
+        Returns what is left of light on the way (Spectrum), and how many boundaries it crosses, or BLOCKED.
+        """
+        scene, n = self.scene, dr.width(direction)
+        sigmas = [(r.index, r.coefficients(self.wavelengths)[1]) for r in scene.regions if r.medium is not None]
+
+        def step(o, left, region, value, crossed, active):
+            ray = mi.Ray3f(o, direction)
+            ray.maxt = left
+            pi = scene.mi_scene.ray_intersect_preliminary(ray, active=active)
+            hit = active & pi.is_valid()
+            sigma_t = mi.Spectrum(0)
+            for index, sigma in sigmas:
+                sigma_t = dr.select(region == index, sigma, sigma_t)
+            value = dr.select(active, value * dr.exp(-sigma_t * dr.select(hit, pi.t, left)), value)
+            o, left, region, factor, passes = self._cross(o, direction, left, region, pi, hit)
+            value = dr.select(hit, value * factor, value)
+            crossed = dr.select(hit, dr.select(passes, crossed + 1, BLOCKED), crossed)
+            return o, left, region, value, crossed, hit & passes
+
+        state = (
+            mi.Point3f(start) + dr.zeros(mi.Point3f, n), distance + dr.zeros(mi.Float, n),
+            dr.zeros(mi.UInt32, n) + region, dr.full(mi.Spectrum, 1, n), dr.zeros(mi.UInt32, n), dr.full(mi.Bool, True, n) & active,
+        )  # fmt: skip
+        end = dr.while_loop(state, lambda *x: x[-1], step, label="air", mode="symbolic")
+        return dr.select(end[4] == BLOCKED, mi.Spectrum(0), end[3]), end[4]
+
+    def _cross(self, o, direction, left, region, pi, hit):
+        """What is behind a hit: place, distance left, region, share of the light that passes, and whether any does."""
+        scene = self.scene
+        if scene.straight is None:
+            return o, left, region, mi.Spectrum(0), mi.Bool(False)
+        target = scene.find(pi.shape)
+        passes = hit & (target != lanes.NONE)
+        passes &= dr.gather(mi.Bool, scene.straight, target, passes)
+        first = dr.gather(mi.UInt32, scene.first_record, target, passes)
+        tri = triangle.gather(scene.records, dr.select(passes, first + pi.prim_index, 0), passes)
+        cosine = dr.dot(direction, tri.Ng)
+        leaving, factor = cosine > 0, mi.Spectrum(1)
+        if scene.thin is not None:
+            eta = dr.gather(mi.Float, scene.eta, target, passes)
+            F, _ = optics.fresnel(dr.abs(cosine), dr.select(passes, eta, 1))
+            thin = dr.gather(mi.Bool, scene.thin, target, passes)
+            factor *= dr.select(thin, 1 - optics.twice(F), 1)
+        for body in scene.bodies:
+            if not body.refracts and "specular_transmittance" in body.tints:
+                tint = body.tint("specular_transmittance", self.wavelengths)
+                factor = dr.select(target == body.index, factor * tint, factor)
+        region = dr.select(
+            passes,
+            dr.select(
+                leaving,
+                dr.gather(mi.UInt32, scene.outside, target, passes),
+                dr.gather(mi.UInt32, scene.inside, target, passes),
+            ),
+            region,
+        )
+        offset = dr.gather(mi.Float, scene.extent, target, passes) * tolerances.SHADOW_OFFSET
+        ahead = pi.t + offset / dr.maximum(dr.abs(cosine), tolerances.GRAZING)
+        return mi.Point3f(o + ahead * direction), dr.maximum(left - ahead, 0), region, dr.select(passes, factor, 0), passes
+
+
+@dataclass
+class Arrival:
+    """What arrives at the points of a body's boundary of a light that goes there through ``air``: an emission
+    (``estimators.lighting``) with the loss on the way. ``inner``: the light's own, or None; ``source``: ``optics.Source``."""
+
+    inner: object
+    source: object
+    air: Air
+    body: object
+
+    def at(self, segment):
+        inner = None if self.inner is None else self.inner.at(segment)
+        source = replace(self.source, L=lanes.of(self.source.L, segment))
+        return replace(self, inner=inner, source=source, air=self.air.at(segment))
+
+    def __call__(self, P, omega_L, d_L):
+        # Off the boundary on the light's side: the way is longer by nothing that matters.
+        body = self.body
+        start = mi.Point3f(P) + dr.opaque(mi.Point3f, body.centre)
+        start += omega_L * dr.opaque(mi.Float, tolerances.ARRIVAL_OFFSET * body.extent)
+        distance = tolerances.ENDLESS if self.source.distant else d_L * (1 - tolerances.SHADOW_END)
+        left, _ = self.air.follow(start, omega_L, distance, dr.opaque(mi.UInt32, body.outside))
+        return left if self.inner is None else left * self.inner(P, omega_L, d_L)

@@ -1,0 +1,236 @@
+"""Single scattering of all lights in all regions: which light points, through which boundaries, onto which segments."""
+
+from dataclasses import dataclass, replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import lanes, tolerances, visibility, wavefront
+from ..air import Air, Arrival
+from ..culling import beams as light_beams
+from ..culling.clearance import Clearance
+from ..culling.spindle import Spindle
+from ..estimators import curve, interval, point, straight
+from ..estimators.lighting import Lighting, Sums
+from ..scene import holds, read, region_of_camera
+from ..scene import lights as light_points
+from ..wavefront import Segments
+
+ESTIMATORS = {"curve": curve, "interval": interval, "point": point}
+
+
+class Prepared:
+    """What one render needs to know of a scene, read once: records, accuracy, estimator, culling."""
+
+    def __init__(self, scene, opt):
+        self.scene = read(scene, opt.tolerance)
+        self.accuracy = tolerances.accuracy(opt.tolerance)
+        if opt.samples:
+            self.accuracy = replace(
+                self.accuracy, interval_samples=opt.samples, point_samples=opt.samples, adapts=False
+            )
+        self.estimator, self.culling, self.light_samples = ESTIMATORS[opt.estimator], opt.culling, opt.light_samples
+        self.counts = wavefront.Counts()
+        self._lit, self._clearances, self._spindles, self._start = {}, {}, {}, {}
+
+    def start(self, medium, ray):
+        """Index of the region in which camera rays start."""
+        origin = np.array(dr.gather(mi.Point3f, mi.Point3f(ray.o), mi.UInt32(0))).ravel()
+        return _once(self._start, None, lambda: region_of_camera(self.scene, medium, origin))
+
+    @property
+    def draws(self):
+        """Whether any light must be drawn at random."""
+        return any(light.exact is None for light in self.scene.lights)
+
+    def lit(self, body, region, light_point, wavelengths=None, key=None):
+        """``(lighting, culling)`` of a light point in the region inside a boundary, made once per ``key`` if that is given; the
+        culling is None if nothing is lit. ``wavelengths``: of the camera segments."""
+        centre = dr.opaque(mi.Point3f, body.centre)
+        source = light_point.source(dr.opaque(mi.Float, body.eta), centre)
+        in_air = self.scene.straight is not None or (body.outside != lanes.NONE and self.scene.regions[body.outside].medium is not None)
+
+        def make():
+            dr.eval(source.L)
+            shadows = visibility.Shadows(self.scene, body, source, light_point.shape, in_air)
+            return shadows, self._culling(body, source, shadows)
+
+        shadows, culling = make() if key is None else _once(self._lit, (body.first_record, key), make)
+        emission = light_point.emission(centre, wavelengths)
+        if in_air:
+            emission = Arrival(emission, source, Air(self.scene, wavelengths), body)
+        side = (body.eta > 1) - (body.eta < 1)
+        return Lighting(source, side, region.phase, shadows.lit, shadows.inside, emission), culling
+
+    def _culling(self, body, source, shadows):
+        records = self.scene.records
+        if self.culling == "spindle":
+            return _once(self._spindles, body.first_record, lambda: Spindle(body, records))
+        clear = None
+        if shadows.may_prove_inside:
+            corners = body.corners - body.centre
+            clear = _once(
+                self._clearances, body.first_record, lambda: Clearance(records, body.first_record, corners)
+            ).clear
+        return light_beams.build(body, records, source, self.accuracy.bend, shadows.seen, clear)
+
+
+def _once(known, key, make):
+    """``known[key]``, made at first use."""
+    if key not in known:
+        known[key] = make()
+    return known[key]
+
+
+@dataclass
+class Turn:
+    """A light point and the camera samples that it is for.
+
+    ``slot``: per camera sample the lane of ``point`` (and of ``value``, its intensities, where these are known), or
+    NONE; None where the one point is for all of them.
+    """
+
+    light: object
+    point: object
+    slot: object = None
+    value: object = None
+
+
+def turns(prepared, n, wavelengths, seed):
+    """The light points for ``n`` camera samples: the exact lights for all of them; of the others one for each sample, of a pool
+    that all share (light beams are made for each of its points), or of its own."""
+    lights = prepared.scene.lights
+    out = [Turn(light, light.exact) for light in lights if light.exact is not None]
+    if not prepared.draws:
+        return out
+    if prepared.culling == "beams":
+        pool = light_points.pool(lights, prepared.light_samples, seed)
+        count, lane = dr.opaque(mi.UInt32, len(pool)), dr.arange(mi.UInt32, n)
+        # Neighbours have different points: each of ``count`` consecutive samples has its own, in random order.
+        turn = mi.permute_kensler(lane % count, len(pool), dr.opaque(mi.UInt32, seed & 0xFFFFFFFF) + lane // count) if len(pool) > 1 else 0 * lane
+        dr.eval(turn)
+        for k, (light, one) in enumerate(pool):
+            dr.eval(one.L, one.normal)
+            out.append(Turn(light, one, dr.select(turn == dr.opaque(mi.UInt32, k), mi.UInt32(0), lanes.NONE)))
+        return out
+    for light, samples, points in light_points.one_each(lights, n, seed):
+        slot = dr.full(mi.UInt32, lanes.NONE, n)
+        dr.scatter(slot, dr.arange(mi.UInt32, dr.width(samples)), samples)
+        value = points.intensity(lanes.of(wavelengths, samples))
+        dr.eval(points.L, points.normal, value, slot)
+        out.append(Turn(light, points, slot, value))
+    return out
+
+
+@dataclass
+class Stretch:
+    """Camera segments of one region (world coordinates), with what comes before and after them on the way."""
+
+    o: object
+    d: object
+    t_max: object
+    weight: object
+    sample: object
+    wavelengths: object
+
+    def gather(self, index):
+        wavelengths = lanes.of(self.wavelengths, index)
+        fields = (lanes.gather(x, index) for x in (self.o, self.d, self.t_max, self.weight, self.sample))
+        return Stretch(*fields, wavelengths)
+
+    def taking(self, turn):
+        """The segments that a ``Turn`` is for, its light points, one or one for each, and their intensities; None if there
+        are none."""
+        if turn.slot is None:
+            return self, turn.point, turn.point.intensity(self.wavelengths)
+        slot = dr.gather(mi.UInt32, turn.slot, self.sample)
+        kept = dr.compress(slot != lanes.NONE)
+        if dr.width(kept) == 0:
+            return None
+        stretch, slot = self.gather(kept), dr.gather(mi.UInt32, slot, kept)
+        if turn.value is None:
+            return stretch, turn.point, turn.point.intensity(stretch.wavelengths)
+        return stretch, turn.point.of(slot), lanes.of(turn.value, slot)
+
+    def segments(self, centre, sigma_t):
+        return Segments(self.o - mi.Point3f(dr.opaque(mi.Point3f, centre)), self.d, self.t_max, sigma_t)
+
+
+def scatter(prepared, paths, ray, n, seed, detail, progress):
+    """Single scattering of all lights along all segments of the camera paths: ``Sums`` per camera sample, with the
+    radiance itself as ``value``."""
+    scene, single = prepared.scene, Sums.nothing(n, detail)
+    regions = [region for region in scene.regions if paths.segments[region.index]]
+    work = [(region, turn) for turn in turns(prepared, n, ray.wavelengths, seed) for region in regions] if regions else []
+    stretches = {}
+    for i, (region, turn) in enumerate(work):
+        if region.index not in stretches:
+            o, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[region.index]))
+            stretches[region.index] = Stretch(o, d, t_max, weight, sample, lanes.of(ray.wavelengths, sample))
+        taken = stretches[region.index].taking(turn)
+        if taken is None:
+            continue
+        report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
+        _refracted(prepared, region, turn.light, *taken, single, seed + i, detail, report)
+        if goes_straight(scene, region, turn.light, taken[1]):
+            _straight(prepared, region, *taken, single)
+    return single.first(n)
+
+
+def _refracted(prepared, region, light, stretch, light_point, value, single, seed, detail, report):
+    """Adds light that comes in through the region's refracting boundaries."""
+    sigma_s, sigma_t = region.coefficients(stretch.wavelengths)
+    key = None if light.exact is None else light.index
+    for body in region.boundaries:
+        lighting, culling = prepared.lit(body, region, light_point, stretch.wavelengths, key)
+        if culling is None:
+            continue
+        segments = stretch.segments(body.centre, sigma_t)
+        sums, counts = wavefront.scatter(
+            segments, culling, lighting, prepared.accuracy, prepared.estimator, seed, detail, report
+        )
+        prepared.counts.add(counts)
+        tint = body.tint("specular_transmittance", stretch.wavelengths)
+        single.add_all(sums, stretch.weight * sigma_s * value * tint, stretch.sample)
+
+
+def goes_straight(scene, region, light, light_point):
+    """Whether light may come to where it is scattered in a region without refraction."""
+    if region.admits or light_point.distant:
+        return region.admits
+    if region.body is None:
+        return True
+    if dr.width(light_point.L) == 1:
+        return holds(region.body, np.array(light_point.L).ravel())
+    low, high = region.body.box
+    return bool((light.box[0] <= high).all() and (light.box[1] >= low).all())
+
+
+def _straight(prepared, region, stretch, light_point, value, single):
+    """Adds light that comes straight."""
+    scene = prepared.scene
+    sigma_s, sigma_t = region.coefficients(stretch.wavelengths)
+    at = region.body.centre if region.body is not None else [0.0, 0.0, 0.0]
+    centre = dr.opaque(mi.Point3f, at)
+    air, start = Air(scene, stretch.wavelengths), dr.opaque(mi.UInt32, region.index)
+
+    def way(V, direction, distance, active):
+        length = distance if light_point.distant else distance * (1 - tolerances.SHADOW_END)
+        return air.follow(mi.Point3f(V) + centre, direction, length, start, active)
+
+    free = dr.width(light_point.L) == 1 and not region.admits and _nothing_between(scene, region)
+    total = straight.scatter(
+        stretch.segments(at, sigma_t), light_point.source(mi.Float(1), centre),
+        light_point.emission(centre, stretch.wavelengths), region.phase, None if free else way, prepared.accuracy,
+    )  # fmt: skip
+    dr.scatter_add(single.value, stretch.weight * sigma_s * value * total, stretch.sample)
+    single.eval()
+
+
+def _nothing_between(scene, region):
+    """Whether any two points of a region see each other."""
+    if region.body is None:
+        return not scene.bodies and not scene.others
+    others = scene.others + [body.shape for body in scene.bodies if body is not region.body]
+    return region.body.convex and not any(visibility.meets(region.body, shape) for shape in others)

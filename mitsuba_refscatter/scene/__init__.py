@@ -1,0 +1,174 @@
+"""The only reader of ``mi.Scene``: bodies, regions, media and lights as plain records, and what is refused."""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import lanes
+from ..geometry import mesh as mesh_facts
+from . import bodies as body_reader
+from . import lights as light_reader
+from . import shapes
+from .bodies import NONE
+from .errors import SceneError, name_shape
+from .regions import Regions
+
+
+@dataclass
+class Scene:
+    """All that the integrator needs to know of a scene.
+
+    ``mi_scene``: Mitsuba's, in which every boundary is a mesh of its own; ``records``: the packed triangles of all
+    bodies, each in its body's coordinates; ``body_of_shape``, ``eta``, ``first_record``, ``centre``, ``extent``,
+    ``inside``, ``outside``: tables for lookups in kernels; ``thin``, ``straight``: the same where some boundary is, else None;
+    ``others``: the shapes that are no bodies; ``mirrors``: whether some of them are.
+    """
+
+    mi_scene: object
+    bodies: list
+    regions: list
+    lights: list
+    records: object
+    body_of_shape: object
+    eta: object
+    first_record: object
+    centre: object
+    extent: object
+    inside: object
+    outside: object
+    thin: object
+    straight: object
+    others: list
+    mirrors: object
+
+    def find(self, shape):
+        """Index of the body of each shape pointer, or NONE; a null pointer is no body."""
+        return dr.gather(mi.UInt32, self.body_of_shape, dr.reinterpret_array(mi.UInt32, shape))
+
+    def is_mirror(self, shape):
+        """Whether each shape pointer is a mirror."""
+        return dr.gather(mi.Bool, self.mirrors, dr.reinterpret_array(mi.UInt32, shape))
+
+
+def read(scene, tolerance):
+    """Reads a ``mi.Scene``; ``tolerance``: relative error of the image that replacing curved shapes by meshes may cause.
+    Raises ``SceneError`` for what cannot be rendered."""
+    scene = shapes.expand(scene, lambda shape: body_reader.kind_of(shape) is not None, tolerance)
+    bodies, others, kinds = [], [], [body_reader.kind_of(shape) for shape in scene.shapes()]
+    for shape, kind in zip(scene.shapes(), kinds):
+        if kind is None:
+            others.append(shape)
+        else:
+            bodies.append(body_reader.read(shape, kind, len(bodies), sum(body.triangle_count for body in bodies)))
+    regions = Regions(bodies, scene.sensors()).found
+    if not any(region.medium is not None for region in regions):
+        raise SceneError("the scene has no body with a medium, so there is no scattering to compute: give a mesh a "
+                         "<bsdf type=\"dielectric\"/> and a <medium name=\"interior\" type=\"homogeneous\"/>")  # fmt: skip
+    lights = light_reader.read(scene, bodies, any(region.scatters for region in regions))
+    packed = bodies + _boundaries(bodies, regions, lights)
+    return Scene(
+        mi_scene=scene, bodies=bodies, regions=regions, lights=lights,
+        records=lanes.array(mi.Float, np.concatenate([body.packed() for body in packed] or [np.zeros(24)])),
+        body_of_shape=_per_shape(scene, mi.UInt32, NONE, {_shape_id(body.shape): body.index for body in bodies}),
+        **{key: lanes.array(kind, [getattr(body, key) for body in bodies] or [0])
+           for key, kind in (("eta", mi.Float), ("first_record", mi.UInt32), ("extent", mi.Float),
+                             ("inside", mi.UInt32), ("outside", mi.UInt32))},
+        centre=lanes.array(mi.Float, [x for body in bodies for x in body.centre] or [0, 0, 0]),
+        thin=_where(body.kind == "thin" for body in bodies),
+        straight=_where(not body.refracts for body in bodies),
+        others=others,
+        mirrors=_per_shape(scene, mi.Bool, False, {_shape_id(shape): True for shape in others if _is_mirror(shape)})
+        if any(map(_is_mirror, others)) else None,
+    )  # fmt: skip
+
+
+def _where(flags):
+    flags = list(flags)
+    return lanes.array(mi.Bool, flags) if any(flags) else None
+
+
+def _per_shape(scene, kind, default, values):
+    """A table by Mitsuba's number of a shape."""
+    table = [default] * (1 + max([_shape_id(shape) for shape in scene.shapes()], default=0))
+    for shape_id, value in values.items():
+        table[shape_id] = value
+    return lanes.array(kind, np.array(table, dtype=bool if kind is mi.Bool else np.uint32))
+
+
+def _shape_id(shape):
+    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
+
+
+def _is_mirror(shape):
+    """Whether a shape does nothing but reflect in one direction."""
+    bsdf, flag = shape.bsdf(), mi.BSDFFlags
+    if bsdf is None or not mi.has_flag(bsdf.flags(), flag.DeltaReflection):
+        return False
+    return not any(mi.has_flag(bsdf.flags(), x) for x in (flag.Smooth, flag.Transmission, flag.Null))
+
+
+def _boundaries(bodies, regions, lights):
+    """Gives regions their refracting boundaries, and sets which of them admit light straight. Returns the bodies whose triangles must be
+    packed besides those of ``bodies``: boundaries seen from their other side."""
+    turned, next_record = [], sum(body.triangle_count for body in bodies)
+    for body in bodies:
+        inside, outside = (None if i == NONE else regions[i] for i in (body.inside, body.outside))
+        if not body.refracts:
+            for region in (inside, outside):
+                if region is not None:
+                    region.admits = True
+            continue
+        if inside is not None and inside.scatters:
+            inside.boundaries.append(body if body.closed else body.reaches(inside.reach))
+        if outside is not None and outside.scatters and any(_may_be_inside(light, body) for light in lights):
+            other = body.flipped(next_record)
+            next_record += body.triangle_count
+            turned.append(other)
+            outside.boundaries.append(other.reaches(outside.reach or outside.body.size))
+    return turned
+
+
+def _may_be_inside(light, body):
+    """Whether light may come to a boundary from its inside."""
+    if not body.closed:
+        return True
+    if light.exact is not None:
+        return not light.exact.distant and holds(body, np.array(light.exact.L).ravel())
+    return light.box is not None and all((light.box[0] <= body.box[1]) & (light.box[1] >= body.box[0]))
+
+
+def holds(body, point):
+    """Whether a closed body holds a point (world)."""
+    within = ((point >= body.box[0]) & (point <= body.box[1])).all()
+    return bool(within and mesh_facts.encloses(body.corners, np.asarray(point, dtype=np.float64)))
+
+
+def region_of_camera(scene, medium, origin):
+    """Index of the region in which camera rays start (or NONE), from the ``medium`` that the sensor names (or None)
+    and an ``origin`` of its rays (3 numbers)."""
+    around = [body for body in scene.bodies if body.closed and holds(body, origin)]
+    body = min(around, key=lambda body: np.prod(np.subtract(*body.box[::-1])), default=None)
+    if body is None:
+        matches = [r for r in scene.regions if r.medium is not None and r.medium == medium and r.body is None]
+        if medium is not None and not matches:
+            raise SceneError("the sensor names a medium, but it is outside of the bodies that hold it: move it into one, or remove the medium")
+        return matches[0].index if matches else NONE
+    region = scene.regions[body.inside]
+    if region.medium != medium:
+        what = "no medium" if medium is None else "another medium"
+        raise SceneError(f"the camera is inside {body.name} but its sensor names {what}: give the sensor a reference to the "
+                         "medium around it, or move it out")  # fmt: skip
+    return region.index
+
+
+def refuse_gradients(scene):
+    """Raises ``SceneError`` where derivatives are asked for; outside of ``dr.suspend_grad``, which hides it."""
+    for key, value in mi.traverse(scene):
+        if dr.grad_enabled(value):
+            raise SceneError(f'gradients are enabled on "{key}": refscatter does not compute derivatives yet; '
+                             "call dr.disable_grad on it")  # fmt: skip
+
+
+__all__ = ["NONE", "Scene", "SceneError", "holds", "name_shape", "read", "refuse_gradients", "region_of_camera"]

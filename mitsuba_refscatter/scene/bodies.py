@@ -1,0 +1,250 @@
+"""Boundaries of bodies: triangle meshes with a smooth dielectric, or with one that does not refract.
+
+Body coordinates are world coordinates minus the body's centre, so that float32 keeps its digits.
+"""
+
+from dataclasses import dataclass, replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..geometry import mesh as mesh_facts
+from ..geometry import triangle
+from ..lanes import NONE  # no body; the region that has no medium and is no body's inside
+from .errors import SceneError, name_shape
+from .support import BOUNDARIES, PERTURBED
+
+
+@dataclass
+class Body:
+    """A triangle mesh that is the boundary between two regions: ``inside`` it, behind the normals, and ``outside``.
+
+    ``kind``: a value of ``support.BOUNDARIES``; ``corners``: float64 (F, 3, 3), world; ``normals``: unit, geometric, outward
+    (F, 3); ``corner_normals`` (F, 3, 3); ``twin``: of each directed edge (``mesh.twins``); ``closed``: whether the mesh is;
+    ``first_record``: of its triangles in ``Scene.records``; ``centre``: 3 floats; ``box``: of the mesh, world;
+    ``box_low``, ``box_high``: of what its light can reach, body coordinates; ``size``: diagonal of that, or where it has no
+    end the length that matters; ``extent``: largest coordinate, world; ``inside``, ``outside``: indices of regions, or NONE.
+    """
+
+    name: str
+    shape: object
+    index: int
+    kind: str
+    eta: float
+    corners: np.ndarray
+    normals: np.ndarray
+    corner_normals: np.ndarray
+    twin: np.ndarray
+    closed: bool
+    convex: bool
+    centre: list
+    box: tuple
+    first_record: int
+    extent: float
+    box_low: list
+    box_high: list
+    size: float
+    tints: dict
+    inside: int = NONE
+    outside: int = NONE
+
+    @property
+    def triangle_count(self):
+        return len(self.corners)
+
+    @property
+    def refracts(self):
+        return self.kind == "refracts"
+
+    def packed(self):
+        """Its triangles as records of ``geometry.triangle``."""
+        return triangle.pack(self.corners - np.array(self.centre), self.corner_normals, self.normals)
+
+    def tint(self, what, wavelengths):
+        """The constant factor ``specular_transmittance`` or ``specular_reflectance``; 1 where the BSDF has none."""
+        if what not in self.tints:
+            return mi.Spectrum(1)
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.wavelengths = wavelengths
+        return self.tints[what].eval(si)
+
+    def reaches(self, reach):
+        """The same where light goes on for the distance ``reach`` behind it."""
+        low, high = (np.array(x) for x in (self.box_low, self.box_high))
+        size = min(self.size + reach, 4 * self.size)
+        return replace(self, box_low=(low - reach).tolist(), box_high=(high + reach).tolist(), size=size)
+
+    def flipped(self, first_record):
+        """The same boundary seen from its other side: light from the inside, refracted to the outside. Its triangles must
+        be packed again, as those from ``first_record`` on."""
+        turned = np.array([0, 2, 1])
+        edge = np.array([2, 1, 0])  # of the turned triangle's three edges: which they were
+        old = (3 * np.arange(len(self.corners))[:, None] + edge).ravel()
+        new_of_old = np.empty(len(old), dtype=np.int64)
+        new_of_old[old] = np.arange(len(old))
+        twin = self.twin[old]
+        return replace(
+            self, eta=1 / self.eta, corners=self.corners[:, turned], normals=-self.normals, closed=False, convex=False,
+            corner_normals=-self.corner_normals[:, turned], twin=np.where(twin < 0, -1, new_of_old[twin]),
+            first_record=first_record, inside=self.outside, outside=self.inside,
+        )  # fmt: skip
+
+
+def kind_of(shape):
+    """The kind of boundary that a shape is (a value of ``support.BOUNDARIES``); None if it is an ordinary surface. Refuses
+    shapes that are neither."""
+    bsdf, name = shape.bsdf(), name_shape(shape)
+    bsdf_kind = bsdf.class_name() if bsdf is not None else "none"
+    if shape.class_name() in ("Instance", "ShapeGroup", "ShapeGroupPlugin"):
+        return None
+    if bsdf_kind in BOUNDARIES:
+        if shape.is_emitter():
+            raise SceneError(f"{name} is the boundary of a body and an emitter at once: refscatter does not support this; "
+                             "remove the emitter")  # fmt: skip
+        return BOUNDARIES[bsdf_kind]
+    if bsdf is not None and any(key.endswith("bsdf.eta") or key.endswith("bsdf_0.eta") for key in mi.traverse(bsdf).keys()):
+        what = PERTURBED.get(bsdf_kind, bsdf_kind)
+        if bsdf_kind in PERTURBED:
+            raise SceneError(f"{name} has a dielectric inside the BSDF {what} ({bsdf_kind}): refscatter needs the plain dielectric")
+    if shape.interior_medium() is not None:
+        raise SceneError(f"{name} has an interior medium but the BSDF {bsdf_kind}: refscatter needs a smooth, untextured "
+                         "dielectric, a thindielectric or a null as its boundary")  # fmt: skip
+    return None
+
+
+def read(shape, kind, index, first_record):
+    """``Body`` of a mesh."""
+    name = name_shape(shape)
+    if not shape.is_mesh():
+        raise SceneError(f"{name} is a {shape.class_name().lower()}, of which refscatter makes no boundary: use a ply or obj of it")
+    vertices, faces, normals = _read_mesh(shape, name)
+    corners = vertices[faces]
+    topology, twin = faces, mesh_facts.twins(faces)
+    if twin is None or (twin < 0).any():  # a seam has several vertices at one position
+        topology = mesh_facts.weld(vertices, faces)
+        twin = mesh_facts.twins(topology)
+    if twin is None:
+        raise SceneError(f"{name} has triangles that wind inconsistently or share an edge with more than one other: "
+                         "refscatter needs a surface with two sides; make its orientation consistent")  # fmt: skip
+    part, closed = mesh_facts.components(topology), bool((twin >= 0).all())
+    winding, agreement = triangle.geometric_normal(corners), None
+    if normals is not None:
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        agreement = np.bincount(part, np.einsum("fki,fi,f->f", normals[faces], winding, area))
+    Ng = _outward(corners, winding, part, name) if closed else _front(shape, winding, agreement)
+    eta, tints = _properties(shape.bsdf(), kind, name)
+    corner_normals = np.repeat(Ng[:, None, :], 3, axis=1)
+    if normals is not None and eta != 1 and kind == "refracts":  # else shading normals play no part
+        turned = np.sign(agreement)[part] * np.sign(np.einsum("fi,fi->f", Ng, winding))
+        corner_normals = normals[faces] * np.where(turned < 0, -1, 1)[:, None, None]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    centre = np.float64(np.float32(0.5 * (low + high)))
+    return Body(
+        name=name, shape=shape, index=index, kind=kind, eta=eta, corners=corners, normals=Ng, corner_normals=corner_normals,
+        twin=twin, closed=closed, convex=closed and mesh_facts.is_convex(corners, Ng, topology, twin),
+        centre=centre.tolist(), box=(low, high), first_record=first_record, extent=float(np.abs(corners).max()),
+        box_low=(low - centre).tolist(), box_high=(high - centre).tolist(), size=float(np.linalg.norm(high - low)), tints=tints,
+    )  # fmt: skip
+
+
+def _properties(bsdf, kind, name):
+    """Relative index of refraction (1 where nothing is refracted but for a thin one's Fresnel term) and tints."""
+    eta, tints, parameters = 1.0, {}, mi.traverse(bsdf)
+    if kind != "null":
+        eta = float(np.array(parameters["eta"]).ravel()[0])
+        if not (np.isfinite(eta) and eta > 0):
+            raise SceneError(f"{name} has the relative index of refraction {eta}: it must be positive")
+    for what in ("specular_transmittance", "specular_reflectance"):
+        keys = [key for key in parameters.keys() if key.startswith(what)]
+        if not keys:
+            continue
+        if not all(key.endswith((".value", ".values")) for key in keys):
+            raise SceneError(f"{name} has a {what} that varies over the surface: refscatter needs a constant one")
+        texture = parameters.properties[keys[0]][2]
+        if not bool(dr.all(dr.ravel(parameters[keys[0]]) == 1)):
+            tints[what] = texture
+    return eta, tints
+
+
+def _front(shape, Ng, agreement):
+    """Geometric normals of an open mesh on its outside: where its vertex normals are (``agreement`` with the winding, or
+    None), or as its triangles wind; the other side with flip_normals."""
+    sign = -1 if shape.has_flipped_normals() else 1
+    return Ng * sign * (1 if agreement is None or agreement.sum() >= 0 else -1)
+
+
+def _outward(corners, normals, part, name):
+    """Geometric normals of closed parts, turned outwards; inwards for parts inside others (the walls of cavities).
+
+    A mirrored transform turns the winding: the interior is what the surface encloses, either way.
+    """
+    signs = np.ones(part.max() + 1)
+    for k in range(len(signs)):
+        piece = corners[part == k]
+        volume = mesh_facts.volume(piece)
+        if abs(volume) < 1e-9 * np.ptp(piece.reshape(-1, 3), axis=0).max() ** 3:
+            raise SceneError(f"{name} has a part that encloses no volume: remove it or mend the mesh")
+        signs[k] = np.sign(volume)
+    around = _around(corners, part, name)
+    outer = signs.copy()
+    for k in range(len(signs)):
+        parents = np.flatnonzero(around[:, k])
+        depth = len(parents)
+        if depth % 2 == 1:
+            if any(signs[p] == signs[k] for p in parents if around[:, p].sum() == depth - 1):
+                raise SceneError(f"{name} has a part that is inside or overlaps another and winds the same way: the wall of a cavity "
+                                 "must wind the other way; else separate them")  # fmt: skip
+            outer[k] = -signs[k]
+    return normals * outer[part][:, None]
+
+
+def _around(corners, part, name):
+    """Which closed part encloses which (n, n): [i, j] where i encloses j. Refuses parts that overlap."""
+    n = part.max() + 1
+    pieces = [corners[part == k] for k in range(n)]
+    out = np.zeros((n, n), dtype=bool)
+    for i in range(n):
+        for j in range(n):
+            if i != j:
+                share = enclosed_share(pieces[i], pieces[j])
+                if 0 < share < 1:
+                    raise SceneError(f"{name} has a part that overlaps another: refscatter supports volumes apart from or inside "
+                                     "each other; separate them")  # fmt: skip
+                out[i, j] = share == 1
+    return out
+
+
+def enclosed_share(outer, inner, most=64):
+    """Share of (at most ``most``) corners of the triangles ``inner`` (F, 3, 3) that the closed mesh ``outer`` encloses."""
+    low, high = outer.min(axis=(0, 1)), outer.max(axis=(0, 1))
+    points = inner.reshape(-1, 3)
+    within = ((points >= low) & (points <= high)).all(axis=1)
+    if not within.any():
+        return 0.0
+    if within.all():
+        tested = points[:: max(1, len(points) // most)]
+        return float(np.mean([mesh_facts.encloses(outer, p) for p in tested]))
+    tested = points[within][:: max(1, int(within.sum()) // most)]
+    return 0.5 if any(mesh_facts.encloses(outer, p) for p in tested) else 0.0
+
+
+def _read_mesh(shape, name):
+    """Vertices (V, 3), faces (F, 3) and unit normals (V, 3) or None for facet normals; float64, world."""
+    if shape.face_count() == 0:
+        raise SceneError(f"{name} has no triangles: remove it or give it some")
+    faces = shape.face_indices(dr.arange(mi.UInt32, shape.face_count())).numpy().T.astype(np.int64)
+    if faces.max() >= shape.vertex_count():
+        raise SceneError(f"{name} has a vertex index out of range: the file is damaged")
+    every = dr.arange(mi.UInt32, shape.vertex_count())
+    vertices = shape.vertex_position(every).numpy().T.astype(np.float64)
+    used = np.unique(faces)
+    if not np.isfinite(vertices[used]).all():
+        raise SceneError(f"{name} has vertices that are not finite (NaN or infinite): mend the mesh")
+    if not shape.has_vertex_normals() or shape.has_face_normals():
+        return vertices, faces, None
+    normals = shape.vertex_normal(every).numpy().T.astype(np.float64)
+    length = np.linalg.norm(normals, axis=1)
+    if not (length[used] > 1e-6).all():  # also False for NaN
+        raise SceneError(f"{name} has vertex normals that are zero or not finite: recompute them, or set face_normals")
+    return vertices, faces, normals / np.maximum(length, 1e-6)[:, None]

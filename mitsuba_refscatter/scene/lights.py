@@ -1,0 +1,238 @@
+"""Emitters as lights: points and directions, exact or drawn, and what they send.
+
+Lights that come from one point or one direction are used as they are. Of the others (areas, environments) points and
+directions are drawn: each stands for all, divided by the density with which it was drawn.
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import lanes
+from ..geometry import mesh as mesh_facts
+from ..optics import Source
+from .errors import SceneError, describe, name_shape
+from .media import visible
+from .support import CONVEX_EMITTERS, DELTA_EMITTERS, REFUSED_EMITTERS
+
+
+@dataclass
+class LightPoint:
+    """A light that comes from one point or direction, or one such for each of several lanes.
+
+    ``L``: the point (Point3f, world), or the unit direction to it if it is ``distant``; ``intensity(wavelengths)``: W/sr (and
+    nm in spectral variants), or the irradiance of a distant one; ``normal``: of a surface that sends it by the cosine law, or
+    None; ``emitter``: that sends different amounts into different directions otherwise, or None; ``shape``: convex one
+    that the point lies on, or None.
+    """
+
+    L: object
+    distant: bool
+    intensity: object
+    normal: object = None
+    emitter: object = None
+    shape: object = None
+
+    def of(self, index):
+        """The light points of lanes (indices)."""
+        normal = None if self.normal is None else lanes.of(self.normal, index)
+        return LightPoint(lanes.of(self.L, index), self.distant, self.intensity, normal, self.emitter, self.shape)
+
+    def source(self, eta, centre):
+        """``optics.Source`` in coordinates relative to ``centre`` (Point3f)."""
+        return Source(self.L if self.distant else self.L - centre, eta, self.distant)
+
+    def emission(self, centre, wavelengths):
+        """What it sends to points (relative to ``centre``) by direction; None if it is the same everywhere."""
+        if self.normal is not None:
+            return Cosine(self.normal)
+        return None if self.emitter is None else Profile(self.emitter, centre, wavelengths)
+
+
+@dataclass
+class Cosine:
+    """The cosine at a light's surface; nothing behind its horizon. ``normal``: one, or one per camera segment."""
+
+    normal: object
+
+    def at(self, segment):
+        return Cosine(lanes.of(self.normal, segment))
+
+    def __call__(self, P, omega_L, d_L):
+        return dr.maximum(-dr.dot(self.normal, omega_L), 0)
+
+
+@dataclass
+class Profile:
+    """The intensity that an emitter at one point sends to points, by Mitsuba's own evaluation: spots, projectors."""
+
+    emitter: object
+    centre: object
+    wavelengths: object
+
+    def at(self, segment):
+        return Profile(self.emitter, self.centre, lanes.of(self.wavelengths, segment))
+
+    def __call__(self, P, omega_L, d_L):
+        _, value = _sample(self.emitter, mi.Point3f(P) + self.centre, self.wavelengths, mi.Point2f(0.5))
+        return value * dr.square(d_L)
+
+
+def _sample(emitter, P, wavelengths, u):
+    at = dr.zeros(mi.SurfaceInteraction3f)
+    at.p, at.wavelengths = P, wavelengths
+    return emitter.sample_direction(at, u, True)
+
+
+@dataclass
+class Light:
+    """An emitter. ``exact``: its one ``LightPoint``; None where points must be drawn. ``fluence``: how much of the drawn
+    lights' power comes from this one (a share); ``box``: of its surface (low, high), or None."""
+
+    name: str
+    index: int
+    emitter: object
+    exact: object
+    fluence: float = 0.0
+    box: object = None
+
+    def draw(self, u, share):
+        """``LightPoint`` for random numbers ``u`` (Point2f) in the unit square; ``share``: the probability of this emitter."""
+        emitter, shape = self.emitter, self.emitter.get_shape()
+        share = dr.opaque(mi.Float, share)
+        if shape is None:
+            return _direction(emitter, u, share)
+        at, weight = emitter.sample_position(mi.Float(0), u)
+
+        def intensity(wavelengths):
+            si = mi.SurfaceInteraction3f(at, wavelengths)
+            si.wi = mi.Vector3f(0, 0, 1)
+            return emitter.eval(si) * (weight / share)
+
+        convex = shape if shape.class_name() in CONVEX_EMITTERS else None
+        return LightPoint(mi.Point3f(at.p), False, intensity, mi.Vector3f(at.n), None, convex)
+
+
+def _direction(emitter, u, share):
+    """A drawn direction of an environment."""
+    origin = mi.Point3f(0)
+    drawn, _ = _sample(emitter, origin, visible(), u)
+    return LightPoint(mi.Vector3f(drawn.d), True, lambda w: _sample(emitter, origin, w, u)[1] / share)
+
+
+def read(scene, bodies, scatters):
+    """``Light`` of each emitter of the scene. Those that are not supported are accepted where nothing scatters their light."""
+    if not scene.emitters():
+        raise SceneError('the scene has no light: add an emitter, such as <emitter type="point"/>')
+    lights = []
+    for emitter in scene.emitters():
+        kind = emitter.class_name()
+        name = describe(emitter, "emitter", f"of type {kind}")
+        if emitter.get_shape() is not None:
+            name = f"the {kind} emitter of {name_shape(emitter.get_shape())}"
+        reason = _refusal(emitter, kind)
+        if reason is not None:
+            if scatters:
+                raise SceneError(f"{name} {reason}")
+            continue
+        exact = _exact(emitter, kind, name, bodies) if kind in DELTA_EMITTERS else None
+        shape = emitter.get_shape()
+        box = None if shape is None else tuple(np.array(x).ravel() for x in (shape.bbox().min, shape.bbox().max))
+        lights.append(Light(name, len(lights), emitter, exact, box=box))
+    _share_out([light for light in lights if light.exact is None], bodies)
+    return lights
+
+
+def _refusal(emitter, kind):
+    """Why an emitter is not supported, and what to do; None if it is."""
+    if kind in REFUSED_EMITTERS:
+        return REFUSED_EMITTERS[kind]
+    flags = emitter.flags()
+    known = kind in DELTA_EMITTERS or kind == "AreaLight" or mi.has_flag(flags, mi.EmitterFlags.Infinite)
+    return None if known else REFUSED_EMITTERS["other"]
+
+
+def _exact(emitter, kind, name, bodies):
+    """The ``LightPoint`` of an emitter at one point or in one direction."""
+    for key, value in mi.traverse(emitter):
+        if dr.is_array_v(value) and not np.isfinite(np.array(dr.ravel(value), dtype=float)).all():
+            raise SceneError(f"{name} has a value of {key.split('.')[0]} that is not finite: correct it")
+    origin = mi.Point3f(0, 0, 0)
+    drawn, _ = _sample(emitter, origin, visible(), mi.Point2f(0.5))
+
+    def value(wavelengths):
+        at = mi.Point3f(0) if kind == "DirectionalEmitter" else mi.Point3f(drawn.p) + mi.Vector3f(0, 0, 1)
+        return _sample(emitter, at, wavelengths, mi.Point2f(0.5))[1]
+
+    if kind == "DirectionalEmitter":
+        return LightPoint(dr.opaque(mi.Vector3f, list(np.array(drawn.d).ravel())), True, value)
+    position = np.array(drawn.p, dtype=np.float64).ravel()
+    for body in bodies:
+        if mesh_facts.touches(body.corners, position):
+            raise SceneError(f"{name} lies on the boundary of {body.name}: move it off, by more than 1e-6 of the body's size")
+    L = dr.opaque(mi.Point3f, [float(x) for x in position])
+    if kind == "PointLight":
+        return LightPoint(L, False, value)
+    return LightPoint(L, False, lambda wavelengths: mi.Spectrum(1), emitter=emitter)
+
+
+def _share_out(drawn, bodies):
+    """Sets each drawn light's share: of what they bring to the bodies' centres, and a part of it evenly, since
+    what brings nothing to there may still light other places."""
+    if not drawn:
+        return
+    rng = np.random.default_rng(0)
+    u = lanes.array(mi.Float, rng.random(256)), lanes.array(mi.Float, rng.random(256))
+    brought = np.zeros(len(drawn))
+    for i, light in enumerate(drawn):
+        for body in bodies or [None]:
+            P = mi.Point3f(0 if body is None else mi.Point3f([float(x) for x in body.centre]))
+            _, value = _sample(light.emitter, P, visible(), mi.Point2f(*u))
+            value = np.nan_to_num(np.array(value), posinf=0)
+            if not np.isfinite(value).all():
+                raise SceneError(f"{light.name} has a radiance that is not finite: correct it")
+            brought[i] += value.mean()
+    even = np.full(len(drawn), 1 / len(drawn))
+    share = brought / brought.sum() if brought.sum() > 0 else even
+    for light, x in zip(drawn, 0.9 * share + 0.1 * even):
+        light.fluence = float(x)
+
+
+def pool(lights, n, seed):
+    """``n`` light points (one each) of the lights that must be drawn, spread evenly over them (a list; empty if there are
+    none). A camera sample that takes any one of them, all alike, has all of their light in the mean."""
+    drawn = [light for light in lights if light.exact is None]
+    if not drawn:
+        return []
+    rng = np.random.default_rng(seed)
+    start, shift = rng.random(), rng.random(2)
+    ends = np.cumsum([light.fluence for light in drawn])
+    chosen = np.minimum(np.searchsorted(ends, (np.arange(n) + start) / n, side="right"), len(drawn) - 1)
+    # R2: multiples of powers of the plastic number, low-discrepancy in two dimensions (Roberts 2018).
+    u = (shift + np.outer(np.arange(n), [0.7548776662466927, 0.5698402909980532])) % 1
+    return [
+        (drawn[k], drawn[k].draw(dr.opaque(mi.Point2f, [float(x) for x in point]), drawn[k].fluence))
+        for k, point in zip(chosen, u)
+    ]
+
+
+def one_each(lights, n, seed):
+    """A light point for each of ``n`` camera samples: list of ``(light, samples, points)``, where the ``points``' lanes are those of
+    ``samples`` (indices)."""
+    drawn = [light for light in lights if light.exact is None]
+    if not drawn:
+        return []
+    random = mi.PCG32(n, dr.opaque(mi.UInt64, seed))
+    choice, u, v = (random.next_float32() for _ in range(3))
+    out, start = [], 0.0
+    for i, light in enumerate(drawn):
+        end = start + light.fluence if i + 1 < len(drawn) else 2.0
+        low, high = dr.opaque(mi.Float, start), dr.opaque(mi.Float, end)
+        samples = dr.compress((choice >= low) & (choice < high))
+        if dr.width(samples) > 0:
+            point = mi.Point2f(dr.gather(mi.Float, u, samples), dr.gather(mi.Float, v, samples))
+            out.append((light, samples, light.draw(point, light.fluence)))
+        start = end
+    return out

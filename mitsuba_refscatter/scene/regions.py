@@ -1,0 +1,112 @@
+"""Regions: the volumes between boundaries, each with one medium or none, and which boundary is between which."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .. import tolerances
+from . import media
+from .bodies import NONE, enclosed_share
+from .errors import SceneError
+
+
+@dataclass
+class Region:
+    """A volume with one medium, or a closed body's inside without.
+
+    ``body``: the closed body whose inside it is, or None; ``medium``: Mitsuba's, or None; ``scatters``: whether it scatters
+    light; ``phase(omega, d)``: its phase function; ``boundaries``: refracting ones, each as the ``Body`` that has this region
+    inside; ``reach``: how far light and camera rays are followed in it, or None where its body ends it; ``admits``: whether
+    light may come in without refraction.
+    """
+
+    name: str
+    index: int
+    body: object
+    medium: object
+    scatters: bool = False
+    phase: object = None
+    reach: object = None
+    admits: bool = False
+    boundaries: list = field(default_factory=list)
+
+    def coefficients(self, wavelengths):
+        return media.coefficients(self.medium, wavelengths)
+
+
+class Regions:
+    """Finds the regions of the bodies of a scene, and sets the bodies' ``inside`` and ``outside``."""
+
+    def __init__(self, bodies, sensors):
+        self.found, self._open = [], {}
+        closed = [body for body in bodies if body.closed]
+        inside_of = _containers(closed)
+        for body in bodies:
+            body.inside = self._add(body.name, body, body.shape.interior_medium()).index if body.closed else self._of(
+                body.shape.interior_medium(), body)  # fmt: skip
+        for body in bodies:
+            container = inside_of.get(body.index)
+            body.outside = self._outside(body, container)
+        for sensor in sensors:
+            if sensor.get_medium() is not None and not any(r.medium == sensor.get_medium() for r in self.found):
+                self._of(sensor.get_medium(), None)
+
+    def _add(self, name, body, medium):
+        region = Region(name, len(self.found), body, medium)
+        self.found.append(region)
+        if medium is not None:
+            media.check(name, medium)
+            region.scatters, region.phase = media.scatters(medium), media.phase(medium)
+        if body is None:
+            region.reach = _reach(name, medium)
+        return region
+
+    def _of(self, medium, body):
+        """The region that no closed body bounds, of a medium."""
+        if medium is None:
+            return NONE
+        for known, region in self._open.values():
+            if known == medium:
+                return region.index
+        region = self._add(body.name if body is not None else "the sensor", None, medium)
+        self._open[region.index] = medium, region
+        return region.index
+
+    def _outside(self, body, container):
+        medium = body.shape.exterior_medium()
+        if container is None:
+            return self._of(medium, body)
+        region = self.found[container.inside]
+        if region.medium != medium:
+            what = "no exterior medium" if medium is None else "another exterior medium"
+            raise SceneError(f"{body.name} is inside {container.name} but has {what}: give it the medium around it as its "
+                             "exterior, or none where there is none")  # fmt: skip
+        return region.index
+
+
+def _reach(name, medium):
+    """Distance behind which no more is seen of an unbounded medium."""
+    sigma_t = np.array(media.coefficients(medium, media.visible())[1]).ravel()
+    if not (sigma_t > 0).any():
+        raise SceneError(f"{name} has an unbounded medium that absorbs and scatters nothing: remove it")
+    return float(tolerances.OPAQUE / sigma_t[sigma_t > 0].min())
+
+
+def _containers(closed):
+    """The smallest closed body around each closed body (by index). Refuses those that overlap."""
+    around = {}
+    for inner in closed:
+        for outer in closed:
+            if outer is inner or not _boxes_meet(inner.box, outer.box):
+                continue
+            share = enclosed_share(outer.corners, inner.corners)
+            if 0 < share < 1:
+                raise SceneError(f"{inner.name} overlaps {outer.name}: refscatter supports volumes apart from or inside each other "
+                                 "only; separate them")  # fmt: skip
+            if share == 1:
+                around.setdefault(inner.index, []).append(outer)
+    return {index: min(outer, key=lambda body: np.prod(np.subtract(*body.box[::-1]))) for index, outer in around.items()}
+
+
+def _boxes_meet(a, b):
+    return bool((a[0] <= b[1]).all() and (b[0] <= a[1]).all())
