@@ -92,14 +92,17 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     tri = triangle.gather(scene.records, index, boundary)
     leaving = boundary & (dr.dot(legs.d, tri.Ng) > 0)
     # The region that the boundary says is around; another one is a slip through an edge, or bodies that touch.
-    table = dr.select(leaving, dr.gather(mi.UInt32, scene.inside, target, boundary),
-                      dr.gather(mi.UInt32, scene.outside, target, boundary))  # fmt: skip
-    other = boundary & (table != legs.region)
+    inside, outside = (dr.gather(mi.UInt32, x, target, boundary) for x in (scene.inside, scene.outside))
+    here, behind = dr.select(leaving, inside, outside), dr.select(leaving, outside, inside)
+    other = boundary & (here != legs.region)
     _refuse_overlaps(scene, legs, pi.t, target, other)
-    # Such a leg has missed one refraction: what that does to radiance is made up for.
+    if first:
+        _refuse_other_medium(scene, legs, target, other & ~leaving)
+    # A leg that has missed a refraction at this body: what that does to radiance is made up for.
     eta2 = dr.square(dr.gather(mi.Float, scene.eta, target, other))
-    legs.weight = dr.select(other, legs.weight * dr.select(leaving, dr.rcp(eta2), eta2), legs.weight)
-    legs.region = dr.select(other, table, legs.region)
+    factor = dr.select(leaving, dr.rcp(eta2), eta2)
+    legs.weight = dr.select(other & (behind == legs.region), legs.weight * factor, legs.weight)
+    legs.region = dr.select(other, here, legs.region)
 
     sigma_t, within = mi.Spectrum(0), legs.region != NONE
     wavelengths = lanes.of(ray.wavelengths, legs.sample)
@@ -147,7 +150,9 @@ def _split(scene, legs, wavelengths, pi, tri, target, active, leaving, internal_
     if scene.thin is not None:
         thin = active & dr.gather(mi.Bool, scene.thin, target, active)
         F, through, shift = dr.select(thin, optics.twice(F), F), dr.select(thin, legs.d, through), dr.select(thin, 1, shift)
-    entries = legs.entries + dr.select(leaving, mi.UInt32(0), mi.UInt32(0 if first else 1))
+    # Where nothing is reflected the ray does not branch: such hits don't count.
+    counts = ~leaving & (eta != 1) if not first else mi.Bool(False)
+    entries = legs.entries + dr.select(counts, mi.UInt32(1), mi.UInt32(0))
     reflections = legs.reflections + dr.select(leaving, mi.UInt32(1), mi.UInt32(0))
     active &= entries <= internal_bounces
     out = []
@@ -202,13 +207,24 @@ def _reflected(scene, legs, ray, pi, mirror, internal_bounces, min_weight, first
     return [legs.gather(kept)] if dr.width(kept) > 0 else []
 
 
+def _refuse_other_medium(scene, legs, target, other):
+    """Camera rays in a medium without end that meet a body whose exterior is another."""
+    found = dr.compress(other)
+    if dr.width(found) == 0:
+        return
+    around, hit = (int(dr.gather(mi.UInt32, x, found)[0]) for x in (legs.region, target))
+    if around != NONE and scene.regions[around].body is None:
+        raise SceneError(f"{scene.bodies[hit].name} is in the medium that the sensor is in, but has another exterior medium or none: "
+                         "give it this medium as its exterior")  # fmt: skip
+
+
 def _refuse_overlaps(scene, legs, t, target, other):
     """Whether legs that meet a boundary from a region that it is not next to come from inside of two bodies."""
     found = dr.compress(other)
     if dr.width(found) == 0:
         return
     few = dr.gather(mi.UInt32, found, dr.arange(mi.UInt32, min(16, dr.width(found))))
-    middle = dr.gather(mi.Point3f, legs.o + 0.5 * t * legs.d, few).numpy().T
+    middle = dr.gather(mi.Point3f, mi.Point3f(legs.o + 0.5 * t * legs.d), few).numpy().T
     named = [dr.gather(mi.UInt32, x, few).numpy() for x in (legs.region, target)]
     for point, here, hit in zip(middle, *named):
         a = None if here == NONE else scene.regions[here].body

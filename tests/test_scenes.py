@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mitsuba_refscatter import scenes
-from mitsuba_refscatter.scenes.geodesic import geodesic_sphere, nearest_frequency
+from mitsuba_refscatter.geometry.geodesic import geodesic_sphere, nearest_frequency
 from mitsuba_refscatter.scenes.surface_nets import is_closed
 
 COMMITTED = Path(__file__).parent.parent / "scenes"

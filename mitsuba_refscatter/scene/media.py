@@ -16,7 +16,11 @@ def check(name, medium):
     limits = {"albedo": (0, 1), "sigma_t": (0, np.inf), "scale": (0, np.inf), "phase_function": (-1, 1)}
     for key, value in mi.traverse(medium):
         option = key.split(".")[0]
-        if option in ("albedo", "sigma_t", "phase_function") and (key.endswith(".data") or "grid" in key):
+        varies = key.endswith(".data") if option == "phase_function" else key.endswith(".data") or "grid" in key
+        if option == "phase_function" and varies:
+            voxels = np.array(value).reshape(-1, np.shape(value)[-1])
+            varies = bool((voxels != voxels[0]).any())
+        if option in ("albedo", "sigma_t", "phase_function") and varies:
             raise SceneError(f"{name} has a medium whose {option} varies in space: refscatter needs a constant one")
         # In spectral variants a colour is stored as coefficients of a spectrum; Mitsuba takes colours in [0, 1] there.
         colour = mi.is_spectral and isinstance(value, mi.Color3f)

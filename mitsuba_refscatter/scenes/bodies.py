@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .geodesic import geodesic_sphere, nearest_frequency
+from ..geometry.geodesic import geodesic_sphere, nearest_frequency
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]
 
