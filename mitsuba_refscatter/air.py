@@ -31,7 +31,7 @@ class Air:
         Returns what is left of light on the way (Spectrum), and how many boundaries it crosses, or BLOCKED.
         """
         scene, n = self.scene, dr.width(direction)
-        sigmas = [(r.index, r.coefficients(self.wavelengths)[1]) for r in scene.regions if r.medium is not None]
+        sigmas = [(r.index, r.coefficients(self.wavelengths, direction)[1]) for r in scene.regions if r.medium is not None]
 
         def step(o, left, region, value, crossed, active):
             ray = mi.Ray3f(o, direction)
@@ -86,7 +86,13 @@ class Air:
         )
         offset = dr.gather(mi.Float, scene.extent, target, passes) * tolerances.SHADOW_OFFSET
         ahead = pi.t + offset / dr.maximum(dr.abs(cosine), tolerances.GRAZING)
-        return mi.Point3f(o + ahead * direction), dr.maximum(left - ahead, 0), region, dr.select(passes, factor, 0), passes
+        return (
+            mi.Point3f(o + ahead * direction),
+            dr.maximum(left - ahead, 0),
+            region,
+            dr.select(passes, factor, 0),
+            passes,
+        )
 
 
 @dataclass

@@ -108,7 +108,7 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     wavelengths = lanes.of(ray.wavelengths, legs.sample)
     for region in scene.regions:
         if region.medium is not None:
-            sigma_t = dr.select(legs.region == region.index, region.coefficients(wavelengths)[1], sigma_t)
+            sigma_t = dr.select(legs.region == region.index, region.coefficients(wavelengths, legs.d)[1], sigma_t)
     length = dr.select(hit, pi.t, tolerances.ENDLESS)
     arriving = Legs(**{**legs.__dict__, "weight": legs.weight * dr.exp(-sigma_t * dr.select(within, length, 0))})
     dr.eval(arriving, hit, boundary, mirror, leaving, legs.region)
@@ -125,7 +125,21 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
         if dr.width(kept) > 0:
             paths.ends.append(arriving.gather(kept))
             paths.direct |= first
-    split = _split(scene, arriving, wavelengths, pi, tri, target, boundary, leaving, internal_bounces, again, surfaces, first, min_weight)
+    split = _split(
+        scene,
+        arriving,
+        wavelengths,
+        pi,
+        tri,
+        target,
+        boundary,
+        leaving,
+        internal_bounces,
+        again,
+        surfaces,
+        first,
+        min_weight,
+    )
     if scene.mirrors is not None:
         split += _reflected(scene, arriving, ray, pi, mirror, internal_bounces, min_weight, first)
     if not split:
@@ -133,7 +147,9 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     return Legs(*(lanes.concat(x) for x in zip(*(legs.__dict__.values() for legs in split))))
 
 
-def _split(scene, legs, wavelengths, pi, tri, target, active, leaving, internal_bounces, again, surfaces, first, min_weight):
+def _split(
+    scene, legs, wavelengths, pi, tri, target, active, leaving, internal_bounces, again, surfaces, first, min_weight
+):
     """The reflected and the refracted legs behind a hit with a boundary, as a list of ``Legs``."""
     centre = dr.gather(mi.Point3f, scene.centre, target, active)
     extent = dr.gather(mi.Float, scene.extent, target, active)
@@ -149,7 +165,11 @@ def _split(scene, legs, wavelengths, pi, tri, target, active, leaving, internal_
     through, shift = optics.refract(legs.d, n, cos_t, eta_ti), dr.rcp(dr.square(eta_ti))
     if scene.thin is not None:
         thin = active & dr.gather(mi.Bool, scene.thin, target, active)
-        F, through, shift = dr.select(thin, optics.twice(F), F), dr.select(thin, legs.d, through), dr.select(thin, 1, shift)
+        F, through, shift = (
+            dr.select(thin, optics.twice(F), F),
+            dr.select(thin, legs.d, through),
+            dr.select(thin, 1, shift),
+        )
     # Where nothing is reflected the ray does not branch: such hits don't count.
     counts = ~leaving & (eta != 1) if not first else mi.Bool(False)
     entries = legs.entries + dr.select(counts, mi.UInt32(1), mi.UInt32(0))

@@ -33,7 +33,10 @@ class Options:
     )
     light_samples: int = field(
         default=16,
-        metadata={"range": (1, 1 << 16), "meaning": "light points per pass for emitters that are no point or direction"},
+        metadata={
+            "range": (1, 1 << 16),
+            "meaning": "light points per pass for emitters that are no point or direction",
+        },
     )
     surfaces: bool = field(
         default=True, metadata={"meaning": "also show what is seen by reflection and through bodies"}

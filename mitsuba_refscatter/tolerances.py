@@ -74,6 +74,12 @@ transmittance are then good to a few 1e-3."""
 NEAREST = 1e-3
 """Smallest distance of the light from a camera segment's line, relative to its length, that sampling assumes."""
 
+NEAREST_LINE = 1e-6
+"""Smallest distance of a light in a medium from a camera ray's line, relative to the light's distance, that is told from 0."""
+
+EVEN_DEPTH = 8.0
+"""Optical depth of both legs together below which panels of the quadrature for light that is not refracted are nearly equal."""
+
 THIN = 1e-3
 """Optical depth of a segment below which samples are spread over it as if it were this."""
 

@@ -96,3 +96,16 @@ def sphere_radiance(radius, eta, sigma_s, sigma_t, g, light_position, light_inte
         path = np.exp(-np.multiply(sigma_t, path[..., None]))
         total.append(((w * value)[..., None] * path).sum((0, 1)))
     return np.array(total) * sigma_s * light_intensity
+
+
+def airlight_radiance(sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max, steps=200):
+    """Light and camera in the medium: quadrature over the angle phi of V seen from the light, from the ray's foot on."""
+    to_light = light_position - o
+    x0 = (to_light * d).sum(-1, keepdims=True)
+    h = norm(to_light - x0 * d)
+    first, last = np.arctan(-x0 / h), np.arctan((t_max[:, None] - x0) / h)
+    x, w = panels(np.linspace(0, 1, steps + 1), 16)
+    phi = first + (last - first) * x
+    path = x0 + h * np.tan(phi) + h / np.cos(phi)  # from the camera to V and from V to the light
+    value = (w * phase(g, -np.sin(phi)))[..., None] * np.exp(-np.multiply(sigma_t, path[..., None]))
+    return value.sum(1) * (last - first) / h * sigma_s * light_intensity

@@ -194,14 +194,15 @@ def segment_radiance(
     """Single scattering along camera segments inside a body, (n,C), by the curve form.
 
     o, d (n,3), t_max (n,): segments o + t d, 0 < t < t_max, in the body that `mesh` bounds.
-    sigma_s, sigma_t, light_intensity: scalars or (C,); g: Henyey-Greenstein asymmetry.
+    sigma_s, sigma_t, light_intensity: scalars or (C,), the latter also a function of directions
+    (m,3), (m,C) or (m,1); g: Henyey-Greenstein asymmetry.
     Lit triangles are cut in subdivisions^2 to begin with.  occluders: more meshes that shadow."""
     centre = mesh.corners.reshape(-1, 3).mean(0)  # keeps Pluecker products accurate
     move = [Mesh(m.vertices - centre, m.faces, m.normals) for m in (mesh, *occluders)]
     light, o, d, t_max = light_position - centre, o - centre, np.asarray(d), np.asarray(t_max)
     tree, patches, found = BoxTree(move), make_patches(move[0], eta), []
-    colours = [np.atleast_1d(np.asarray(x, float)) for x in (sigma_s, sigma_t, light_intensity)]
-    total = np.zeros((len(o), max(map(len, colours))))
+    colours = [x if callable(x) else np.atleast_1d(np.asarray(x, float)) for x in (sigma_s, sigma_t, light_intensity)]
+    total = np.zeros((len(o), max(1 if callable(x) else len(x) for x in colours)))
     lit = np.flatnonzero(dot(light - patches.p, patches.ng) > 0)
     grid, micro = triangle_grid(subdivisions)
     some, reach = take(patches, lit[:, None]), 2 * norm(move[0].vertices).max()
@@ -269,6 +270,7 @@ def _integrand(patch, uv, eta, colours, g, light, segment):
     transmitted = 2 * eta * c_l**2 * (1 / (c_l + eta * c_v) ** 2 + 1 / (eta * c_l + c_v) ** 2)
     flux = transmitted * patch.area2 * np.abs(dot(x.omega, patch.ng)) / x.d_l**2
     sigma_s, sigma_t, intensity = colours
+    intensity = intensity(-x.w_l) if callable(intensity) else intensity
     value = flux * phase(g, -dot(x.omega, d)) * sigma_s * intensity * np.exp(-sigma_t * (t + s))
     if not np.isfinite(value).all():
         raise FloatingPointError("non-finite radiance")

@@ -222,7 +222,9 @@ def test_no_lit_triangles(rgb, tmp_path):
     from_inside = light_beams.build(
         body, records, Source(mi.Point3f(0), mi.Float(1.5)), 0.1, lambda triangles: pytest.fail("none is lit"), None
     )
-    unseen = light_beams.build(body, records, Source(mi.Point3f(9), mi.Float(1.5)), 0.1, lambda triangles: (mi.UInt32(), mi.Bool()), None)
+    unseen = light_beams.build(
+        body, records, Source(mi.Point3f(9), mi.Float(1.5)), 0.1, lambda triangles: (mi.UInt32(), mi.Bool()), None
+    )
     assert from_inside is None and unseen is None
 
 

@@ -89,7 +89,10 @@ MEDIA = {
     "sigma_t NaN": (lambda: amber(sigma_t=float("nan")), ["sigma_t", "finite"]),
     "albedo > 1": (lambda: amber(albedo=2.0), ["albedo", "[0, 1]"]),
     "hg NaN": (lambda: amber(phase={"type": "hg", "g": float("nan")}), ["g", "(-1, 1)"]),
-    "phase varies": (lambda: amber(phase={**blend("blendphase", "hg", "isotropic"), "weight": grid()}), ["phase_function", "constant"]),
+    "phase varies": (
+        lambda: amber(phase={**blend("blendphase", "hg", "isotropic"), "weight": grid()}),
+        ["phase_function", "constant"],
+    ),
 }
 
 

@@ -16,7 +16,8 @@ class Lighting:
     ``side``: the sign of eta - 1 (kernels differ); ``phase(omega, d)``: phase function in 1/sr for light that travels along
     omega and a camera ray along d; ``lit(P, Ng, L, active)``, ``inside(P, Ng, direction, length, active)``: visibility tests,
     or None where nothing can be in the way; ``emission(P, omega_L, d_L)``: what arrives at P relative to a light that sends
-    the same into all directions, or None for such a light (``emission.at(segment)``: that of camera segments).
+    the same into all directions, or None for such a light (``emission.at(segment)``: that of camera segments);
+    ``directed(omega, d)``: extinction along omega relative to that along d, or None where it is the same.
     """
 
     light: optics.Source
@@ -25,6 +26,7 @@ class Lighting:
     lit: object
     inside: object
     emission: object = None
+    directed: object = None
 
     def at(self, segment):
         """The lighting of camera segments (indices)."""
@@ -50,6 +52,10 @@ class Lighting:
     def emitted(self, P, omega_L, d_L):
         """``emission``, or 1."""
         return 1 if self.emission is None else self.emission(P, omega_L, d_L)
+
+    def extinction(self, sigma_t, omega, d):
+        """Extinction of light along omega, of ``sigma_t``, that along the camera ray d."""
+        return sigma_t if self.directed is None else sigma_t * self.directed(omega, d)
 
     def proven(self, s, taken):
         """Where culling has proven that nothing is in the way from the light to P and on to P + s omega."""

@@ -74,4 +74,4 @@ def in_scattered(path, tri, d, lighting, sigma_t):
     F, _ = optics.fresnel(dr.dot(path.omega_L, path.n), lighting.eta)
     value = (1 - F) * dr.square(lighting.eta) / path.distance_correction(tri)
     value *= lighting.emitted(path.P, path.omega_L, path.d_L)
-    return value * lighting.phase(path.omega_V, d) * dr.exp(-sigma_t * path.s)
+    return value * lighting.phase(path.omega_V, d) * dr.exp(-lighting.extinction(sigma_t, path.omega_V, d) * path.s)

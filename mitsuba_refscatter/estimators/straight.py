@@ -2,90 +2,151 @@
 
     L = integral over t of sigma_s p E(t) exp(-sigma_t t) T(t),
 
-E the light's intensity over its squared distance (or irradiance), T what is left of it on its way (``air.Air``). Gauss
-quadrature in panels, which are regular in the angle that the light spans and in optical depth (both, each weighted
-by its share of the summed densities, so that the integrand is smooth in either). Where T jumps, since something begins or
-ends to be in the way, the panel is divided there.
+E the light's intensity over its squared distance (or irradiance), T what is left of it on its way (``air.Air``). In phi, the
+angle under which a light at distance h from the camera ray sees t from the ray's foot on, E dt = I dphi / h, so that near
+lights make no peak. Gauss quadrature in phi, in panels that end where either phi or the optical depth has gone another
+step. Where T jumps, since something begins or ends to be in the way, the panel is divided there.
 """
 
 import drjit as dr
 import mitsuba as mi
 
 from .. import tolerances
-from .spacing import ByAngle, ByDepth
 
 
-def scatter(segments, source, emission, phase, way, accuracy):
+def scatter(segments, source, emission, phase, directed, way, accuracy):
     """Radiance along every segment (Spectrum, without sigma_s, intensity and the segment's weight).
 
-    ``source``: ``optics.Source`` in the segments' coordinates; ``emission``, ``phase``: as ``lighting.Lighting`` has them;
-    ``way(V, direction, distance, active) -> (T, number)``: what is left of the light from V to there, and a number that changes
-    where T jumps; None where nothing but the segments' medium is in between.
+    ``source``: ``optics.Source`` in the segments' coordinates; ``emission``, ``phase``, ``directed``: as ``lighting.Lighting``
+    has them; ``way(V, direction, distance, active) -> (T, number)``: what is left of the light from V to there, and a number that
+    changes where T jumps; None where nothing but the segments' medium is in between.
     """
-    spacings = [ByDepth(dr.mean(segments.sigma_t), segments.t_max)]
-    if not source.distant:
-        spacings.append(ByAngle(source.L - segments.o, segments))
-    total = dr.zeros(mi.Spectrum, len(segments))
-    for spacing in spacings:
-        integrand = _Integrand(segments, source, emission, phase, way, spacings)
-        total += _integrate(spacing, integrand, len(segments), accuracy, way is not None)
+    integrand = _Integrand(segments, source, emission, phase, directed, way)
+    panels = _ByDepth(segments) if source.distant else _ByAngle(segments, source.L)
+    total = _integrate(panels, integrand, len(segments), accuracy, way is not None)
     dr.eval(total)
     return total
 
 
-class _Integrand:
-    """What is summed, relative to the density of the samples of all spacings."""
+class _ByDepth:
+    """Panels of a distant light: steps of optical depth, equal where that is small, shorter near the camera where it is large."""
 
-    def __init__(self, segments, source, emission, phase, way, spacings):
+    def __init__(self, segments):
+        self.t_max = segments.t_max
+        depth = 2 * dr.max(segments.sigma_t) * segments.t_max  # both legs may get longer
+        self.growth = 1 + dr.maximum(dr.log(depth / tolerances.EVEN_DEPTH), 0) / dr.log(8)
+
+    def count(self, n):
+        return n
+
+    def end(self, k, n):
+        """Where step k of n ends."""
+        return self.t_max * dr.power(mi.Float(k) / mi.Float(n), self.growth)
+
+    def next(self, k, j, n):
+        """End of the panel that k steps of depth and j of angle precede, and how many do its end."""
+        return self.end(k + 1, n), k + 1, j
+
+    def place(self, a, b, y):
+        """t at the share y of the panel from a to b, and E dt / dy for a light of intensity 1."""
+        return a + y * (b - a), b - a
+
+
+class _ByAngle(_ByDepth):
+    """Panels of a light at ``L``: steps of depth and of the angle."""
+
+    def __init__(self, segments, L):
+        super().__init__(segments)
+        d, to_light = segments.d, L - segments.o
+        self.foot = dr.dot(to_light, d)
+        away = dr.fma(-self.foot, d, to_light)  # with the digits of h, not of the light's distance
+        rest = dr.dot(away, d)
+        self.foot += rest
+        h = dr.norm(dr.fma(-rest, d, away))
+        self.h = dr.maximum(h, tolerances.NEAREST_LINE * dr.norm(to_light))
+        self.angle = self._between(0, self.t_max)
+
+    def count(self, n):
+        return 2 * n - 1
+
+    def _between(self, a, b):
+        """The angle from a to b, without differences of large ones."""
+        return dr.atan2(self.h * (b - a), dr.square(self.h) + (a - self.foot) * (b - self.foot))
+
+    def _beyond(self, a, angle):
+        """Where the ray is by an ``angle`` further than at a."""
+        T, x = dr.tan(angle), a - self.foot
+        return a + T * (dr.square(self.h) + dr.square(x)) / (self.h - x * T)
+
+    def next(self, k, j, n):
+        by_depth = self.end(k + 1, n)
+        by_angle = self._beyond(0, self.angle * (mi.Float(j + 1) / mi.Float(n)))
+        by_angle = dr.select(j + 1 < n, by_angle, self.t_max)
+        depth_first = (k + 1 < n) & ((j + 1 >= n) | (by_depth < by_angle))
+        end = dr.clip(dr.select(depth_first, by_depth, by_angle), 0, self.t_max)
+        return end, k + dr.select(depth_first, 1, 0), j + dr.select(depth_first, 0, 1)
+
+    def place(self, a, b, y):
+        angle = self._between(a, b)
+        return dr.clip(self._beyond(a, y * angle), a, b), angle / self.h
+
+
+class _Integrand:
+    """What is summed, but for E."""
+
+    def __init__(self, segments, source, emission, phase, directed, way):
         self.segments, self.source, self.emission, self.phase = segments, source, emission, phase
-        self.way, self.spacings = way, spacings
+        self.directed, self.way = directed, way
 
     def look(self, t, active):
-        """Direction to the light, its distance, what is left on the way from there, and the number of that way."""
+        """V at t, direction to the light, its distance, what is left on the way from there, and the number of that way."""
         segments = self.segments
         V = segments.o + t * segments.d
         omega_L, d_L = self.source.seen_from(V)
         if self.way is None:
-            return V, omega_L, d_L, dr.exp(-segments.sigma_t * d_L), mi.UInt32(0)
+            sigma_t = segments.sigma_t
+            if self.directed is not None:
+                sigma_t = sigma_t * self.directed(-omega_L, segments.d)
+            return V, omega_L, d_L, dr.exp(-sigma_t * d_L), mi.UInt32(0)
         distance = tolerances.ENDLESS if self.source.distant else d_L
         return V, omega_L, d_L, *self.way(V, omega_L, distance, active)
 
     def __call__(self, t, active):
         V, omega_L, d_L, left, _ = self.look(t, active)
-        density = sum(spacing.density(t) for spacing in self.spacings)
         value = left * dr.exp(-self.segments.sigma_t * t) * self.phase(-omega_L, self.segments.d)
-        if self.emission is not None:
-            value *= self.emission(V, omega_L, d_L)
-        return value / (dr.square(d_L) * density)
+        return value if self.emission is None else value * self.emission(V, omega_L, d_L)
 
 
-def _integrate(spacing, integrand, n, accuracy, jumps):
-    """The integral in panels of the spacing's x."""
-    panels, nodes = dr.opaque(mi.UInt32, accuracy.panels), list(zip(*tolerances.gauss(accuracy.panel_points)))
-    width = dr.rcp(mi.Float(panels))
+def _integrate(panels, integrand, n, accuracy, jumps):
+    """The integral in panels."""
+    steps, nodes = dr.opaque(mi.UInt32, accuracy.panels), list(zip(*tolerances.gauss(accuracy.panel_points)))
+    count = dr.opaque(mi.UInt32, panels.count(accuracy.panels))
 
-    def number(x, active=True):
-        return integrand.look(spacing.t(x), active)[-1] if jumps else mi.UInt32(0)
+    def number(t, active=True):
+        return integrand.look(t, active)[-1] if jumps else mi.UInt32(0)
 
     def gauss(a, b, active):
         total = mi.Spectrum(0)
-        for x, weight in nodes:
-            value = integrand(spacing.t(a + x * (b - a)), active)
-            total += dr.select(active & dr.all(dr.isfinite(value)), weight * (b - a) * value, 0)
+        for y, weight in nodes:
+            t, measure = panels.place(a, b, y)
+            value = integrand(t, active)
+            total += dr.select(active & dr.all(dr.isfinite(value)), weight * measure * value, 0)
         return total
 
-    def panel(k, before, total):
-        a, b = mi.Float(k) * width, mi.Float(k + 1) * width
+    def panel(k, j, a, before, total):
+        b, k, j = panels.next(k, j, steps)
         if not jumps:
-            return k + 1, before, total + gauss(a, b, mi.Bool(True))
+            return k, j, b, before, total + gauss(a, b, mi.Bool(True))
         behind = number(b)
         jump = behind != before
-        middle = _jump(a, b, before, jump, number)
-        total += gauss(a, dr.select(jump, middle, b), mi.Bool(True))
-        return k + 1, behind, total + gauss(middle, b, jump)
+        middle = dr.select(jump, _jump(a, b, before, jump, number), b)
+        total += gauss(a, middle, mi.Bool(True))
+        return k, j, b, behind, total + gauss(middle, b, jump)
 
-    state = (dr.zeros(mi.UInt32, n), number(dr.zeros(mi.Float, n)) + dr.zeros(mi.UInt32, n), dr.zeros(mi.Spectrum, n))
-    return dr.while_loop(state, lambda k, *_: k < panels, panel, label="panels", mode="symbolic")[-1]
+    start = dr.zeros(mi.Float, n)
+    zero = dr.zeros(mi.UInt32, n)
+    state = (zero, zero, start, number(start) + zero, dr.zeros(mi.Spectrum, n))
+    return dr.while_loop(state, lambda k, j, *_: k + j < count, panel, label="panels", mode="symbolic")[-1]
 
 
 def _jump(a, b, before, jump, number):

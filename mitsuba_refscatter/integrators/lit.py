@@ -49,7 +49,9 @@ class Prepared:
         culling is None if nothing is lit. ``wavelengths``: of the camera segments."""
         centre = dr.opaque(mi.Point3f, body.centre)
         source = light_point.source(dr.opaque(mi.Float, body.eta), centre)
-        in_air = self.scene.straight is not None or (body.outside != lanes.NONE and self.scene.regions[body.outside].medium is not None)
+        in_air = self.scene.straight is not None or (
+            body.outside != lanes.NONE and self.scene.regions[body.outside].medium is not None
+        )
 
         def make():
             dr.eval(source.L)
@@ -61,7 +63,7 @@ class Prepared:
         if in_air:
             emission = Arrival(emission, source, Air(self.scene, wavelengths), body)
         side = (body.eta > 1) - (body.eta < 1)
-        return Lighting(source, side, region.phase, shadows.lit, shadows.inside, emission), culling
+        return Lighting(source, side, region.phase, shadows.lit, shadows.inside, emission, region.directed), culling
 
     def _culling(self, body, source, shadows):
         records = self.scene.records
@@ -108,7 +110,11 @@ def turns(prepared, n, wavelengths, seed):
         pool = light_points.pool(lights, prepared.light_samples, seed)
         count, lane = dr.opaque(mi.UInt32, len(pool)), dr.arange(mi.UInt32, n)
         # Neighbours have different points: each of ``count`` consecutive samples has its own, in random order.
-        turn = mi.permute_kensler(lane % count, len(pool), dr.opaque(mi.UInt32, seed & 0xFFFFFFFF) + lane // count) if len(pool) > 1 else 0 * lane
+        turn = (
+            mi.permute_kensler(lane % count, len(pool), dr.opaque(mi.UInt32, seed & 0xFFFFFFFF) + lane // count)
+            if len(pool) > 1
+            else 0 * lane
+        )
         dr.eval(turn)
         for k, (light, one) in enumerate(pool):
             dr.eval(one.L, one.normal)
@@ -162,7 +168,9 @@ def scatter(prepared, paths, ray, n, seed, detail, progress):
     radiance itself as ``value``."""
     scene, single = prepared.scene, Sums.nothing(n, detail)
     regions = [region for region in scene.regions if paths.segments[region.index]]
-    work = [(region, turn) for turn in turns(prepared, n, ray.wavelengths, seed) for region in regions] if regions else []
+    work = (
+        [(region, turn) for turn in turns(prepared, n, ray.wavelengths, seed) for region in regions] if regions else []
+    )
     stretches = {}
     for i, (region, turn) in enumerate(work):
         if region.index not in stretches:
@@ -180,7 +188,7 @@ def scatter(prepared, paths, ray, n, seed, detail, progress):
 
 def _refracted(prepared, region, light, stretch, light_point, value, single, seed, detail, report):
     """Adds light that comes in through the region's refracting boundaries."""
-    sigma_s, sigma_t = region.coefficients(stretch.wavelengths)
+    sigma_s, sigma_t = region.coefficients(stretch.wavelengths, stretch.d)
     key = None if light.exact is None else light.index
     for body in region.boundaries:
         lighting, culling = prepared.lit(body, region, light_point, stretch.wavelengths, key)
@@ -210,7 +218,7 @@ def goes_straight(scene, region, light, light_point):
 def _straight(prepared, region, stretch, light_point, value, single):
     """Adds light that comes straight."""
     scene = prepared.scene
-    sigma_s, sigma_t = region.coefficients(stretch.wavelengths)
+    sigma_s, sigma_t = region.coefficients(stretch.wavelengths, stretch.d)
     at = region.body.centre if region.body is not None else [0.0, 0.0, 0.0]
     centre = dr.opaque(mi.Point3f, at)
     air, start = Air(scene, stretch.wavelengths), dr.opaque(mi.UInt32, region.index)
@@ -222,7 +230,7 @@ def _straight(prepared, region, stretch, light_point, value, single):
     free = dr.width(light_point.L) == 1 and not region.admits and _nothing_between(scene, region)
     total = straight.scatter(
         stretch.segments(at, sigma_t), light_point.source(mi.Float(1), centre),
-        light_point.emission(centre, stretch.wavelengths), region.phase, None if free else way, prepared.accuracy,
+        light_point.emission(centre, stretch.wavelengths), region.phase, region.directed, None if free else way, prepared.accuracy,
     )  # fmt: skip
     dr.scatter_add(single.value, stretch.weight * sigma_s * value * total, stretch.sample)
     single.eval()

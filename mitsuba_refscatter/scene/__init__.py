@@ -153,7 +153,9 @@ def region_of_camera(scene, medium, origin):
     if body is None:
         matches = [r for r in scene.regions if r.medium is not None and r.medium == medium and r.body is None]
         if medium is not None and not matches:
-            raise SceneError("the sensor names a medium, but it is outside of the bodies that hold it: move it into one, or remove the medium")
+            raise SceneError(
+                "the sensor names a medium, but it is outside of the bodies that hold it: move it into one, or remove the medium"
+            )
         return matches[0].index if matches else NONE
     region = scene.regions[body.inside]
     if region.medium != medium:

@@ -103,10 +103,14 @@ def kind_of(shape):
             raise SceneError(f"{name} is the boundary of a body and an emitter at once: refscatter does not support this; "
                              "remove the emitter")  # fmt: skip
         return BOUNDARIES[bsdf_kind]
-    if bsdf is not None and any(key.endswith("bsdf.eta") or key.endswith("bsdf_0.eta") for key in mi.traverse(bsdf).keys()):
+    if bsdf is not None and any(
+        key.endswith("bsdf.eta") or key.endswith("bsdf_0.eta") for key in mi.traverse(bsdf).keys()
+    ):
         what = PERTURBED.get(bsdf_kind, bsdf_kind)
         if bsdf_kind in PERTURBED:
-            raise SceneError(f"{name} has a dielectric inside the BSDF {what} ({bsdf_kind}): refscatter needs the plain dielectric")
+            raise SceneError(
+                f"{name} has a dielectric inside the BSDF {what} ({bsdf_kind}): refscatter needs the plain dielectric"
+            )
     if shape.interior_medium() is not None:
         raise SceneError(f"{name} has an interior medium but the BSDF {bsdf_kind}: refscatter needs a smooth, untextured "
                          "dielectric, a thindielectric or a null as its boundary")  # fmt: skip
@@ -117,7 +121,9 @@ def read(shape, kind, index, first_record):
     """``Body`` of a mesh."""
     name = name_shape(shape)
     if not shape.is_mesh():
-        raise SceneError(f"{name} is a {shape.class_name().lower()}, of which refscatter makes no boundary: use a ply or obj of it")
+        raise SceneError(
+            f"{name} is a {shape.class_name().lower()}, of which refscatter makes no boundary: use a ply or obj of it"
+        )
     vertices, faces, normals = _read_mesh(shape, name)
     corners = vertices[faces]
     topology, twin = faces, mesh_facts.twins(faces)

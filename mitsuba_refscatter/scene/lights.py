@@ -171,7 +171,9 @@ def _exact(emitter, kind, name, bodies):
     position = np.array(drawn.p, dtype=np.float64).ravel()
     for body in bodies:
         if mesh_facts.touches(body.corners, position):
-            raise SceneError(f"{name} lies on the boundary of {body.name}: move it off, by more than 1e-6 of the body's size")
+            raise SceneError(
+                f"{name} lies on the boundary of {body.name}: move it off, by more than 1e-6 of the body's size"
+            )
     L = dr.opaque(mi.Point3f, [float(x) for x in position])
     if kind == "PointLight":
         return LightPoint(L, False, value)

@@ -24,7 +24,9 @@ def check(name, medium):
             raise SceneError(f"{name} has a medium whose {option} varies in space: refscatter needs a constant one")
         # In spectral variants a colour is stored as coefficients of a spectrum; Mitsuba takes colours in [0, 1] there.
         colour = mi.is_spectral and isinstance(value, mi.Color3f)
-        checked = key == "scale" or key.endswith(".g") or (option != "phase_function" and key.endswith((".value", ".values")))
+        checked = (
+            key == "scale" or key.endswith(".g") or (option != "phase_function" and key.endswith((".value", ".values")))
+        )
         if option in limits and not colour and checked:
             low, high = limits[option]
             x = np.array(dr.ravel(value) if dr.is_array_v(value) else value, dtype=float)
@@ -47,12 +49,30 @@ def scatters(medium):
     return not albedo or any(bool(dr.any(dr.ravel(value) != 0)) for value in albedo)
 
 
-def coefficients(medium, wavelengths):
-    """Scattering coefficient and extinction (sigma_s, sigma_t) in 1/length for rays of some wavelengths."""
+def coefficients(medium, wavelengths, d=None):
+    """Scattering coefficient and extinction (sigma_s, sigma_t) in 1/length for rays of some wavelengths; along d, where
+    these depend on it (``directed``)."""
     mei = dr.zeros(mi.MediumInteraction3f)
     mei.wavelengths = wavelengths
+    if d is not None:
+        mei.wi = -d
     sigma_s, _, sigma_t = medium.get_scattering_coefficients(mei, True)
     return sigma_s, sigma_t
+
+
+def directed(medium):
+    """None, or for media of microflakes, whose extinction depends on direction: ``f(omega, d)``, the extinction along
+    omega relative to that along d."""
+    function = medium.phase_function()
+    if not mi.has_flag(function.flags(), mi.PhaseFunctionFlags.Microflake):
+        return None
+
+    def area(omega):
+        mei = dr.zeros(mi.MediumInteraction3f)
+        mei.wi = -omega
+        return function.projected_area(mei)
+
+    return lambda omega, d: area(omega) / area(d)
 
 
 def phase(medium):

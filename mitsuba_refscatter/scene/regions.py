@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from .. import tolerances
@@ -15,7 +17,7 @@ class Region:
     """A volume with one medium, or a closed body's inside without.
 
     ``body``: the closed body whose inside it is, or None; ``medium``: Mitsuba's, or None; ``scatters``: whether it scatters
-    light; ``phase(omega, d)``: its phase function; ``boundaries``: refracting ones, each as the ``Body`` that has this region
+    light; ``phase(omega, d)``: its phase function; ``directed``: ``media.directed``; ``boundaries``: refracting ones, each as the ``Body`` that has this region
     inside; ``reach``: how far light and camera rays are followed in it, or None where its body ends it; ``admits``: whether
     light may come in without refraction.
     """
@@ -26,12 +28,14 @@ class Region:
     medium: object
     scatters: bool = False
     phase: object = None
+    directed: object = None
     reach: object = None
     admits: bool = False
     boundaries: list = field(default_factory=list)
 
-    def coefficients(self, wavelengths):
-        return media.coefficients(self.medium, wavelengths)
+    def coefficients(self, wavelengths, d):
+        """``media.coefficients`` along d."""
+        return media.coefficients(self.medium, wavelengths, d if self.directed else None)
 
 
 class Regions:
@@ -57,6 +61,7 @@ class Regions:
         if medium is not None:
             media.check(name, medium)
             region.scatters, region.phase = media.scatters(medium), media.phase(medium)
+            region.directed = media.directed(medium)
         if body is None:
             region.reach = _reach(name, medium)
         return region
@@ -86,7 +91,8 @@ class Regions:
 
 def _reach(name, medium):
     """Distance behind which no more is seen of an unbounded medium."""
-    sigma_t = np.array(media.coefficients(medium, media.visible())[1]).ravel()
+    around = mi.warp.square_to_uniform_sphere(dr.meshgrid(*2 * [dr.linspace(mi.Float, 0, 1, 9)]))
+    sigma_t = np.array(media.coefficients(medium, media.visible(), mi.Vector3f(around))[1]).ravel()
     if not (sigma_t > 0).any():
         raise SceneError(f"{name} has an unbounded medium that absorbs and scatters nothing: remove it")
     return float(tolerances.OPAQUE / sigma_t[sigma_t > 0].min())
@@ -105,7 +111,9 @@ def _containers(closed):
                                  "only; separate them")  # fmt: skip
             if share == 1:
                 around.setdefault(inner.index, []).append(outer)
-    return {index: min(outer, key=lambda body: np.prod(np.subtract(*body.box[::-1]))) for index, outer in around.items()}
+    return {
+        index: min(outer, key=lambda body: np.prod(np.subtract(*body.box[::-1]))) for index, outer in around.items()
+    }
 
 
 def _boxes_meet(a, b):

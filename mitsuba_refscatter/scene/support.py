@@ -28,7 +28,13 @@ REFUSED_EMITTERS = {
 BOUNDARIES = {"SmoothDielectric": "refracts", "Null": "null", "ThinDielectric": "thin"}
 """BSDFs of the boundaries of bodies, by class name: light is refracted, goes on straight, or straight with Fresnel loss."""
 
-PERTURBED = {"BumpMap": "bumpmap", "NormalMap": "normalmap", "MaskBSDF": "mask", "BlendBSDF": "blendbsdf", "TwoSidedBRDF": "twosided"}
+PERTURBED = {
+    "BumpMap": "bumpmap",
+    "NormalMap": "normalmap",
+    "MaskBSDF": "mask",
+    "BlendBSDF": "blendbsdf",
+    "TwoSidedBRDF": "twosided",
+}
 """BSDFs that may hold a dielectric, by class name: the boundary would not be smooth, or not everywhere."""
 
 MEDIUM = "HomogeneousMedium"
