@@ -31,7 +31,9 @@ class Air:
         Returns what is left of light on the way (Spectrum), and how many boundaries it crosses, or BLOCKED.
         """
         scene, n = self.scene, dr.width(direction)
-        sigmas = [(r.index, r.coefficients(self.wavelengths, direction)[1]) for r in scene.regions if r.medium is not None]
+        sigmas = [
+            (r.index, r.coefficients(self.wavelengths, direction)[1]) for r in scene.regions if r.medium is not None
+        ]
 
         def step(o, left, region, value, crossed, active):
             ray = mi.Ray3f(o, direction)

@@ -103,7 +103,9 @@ def test_airlight(g):
     sigma_s, sigma_t = sigma()
     # ours starts at a float32 d, which is a unit vector to 1e-7
     d = d / np.linalg.norm(d, axis=1, keepdims=True)
-    truth = closed_forms.airlight_radiance(sigma_s, sigma_t, g or 0.0, light, np.full(3, 10.0), o, d, np.full(200, 60.0))
+    truth = closed_forms.airlight_radiance(
+        sigma_s, sigma_t, g or 0.0, light, np.full(3, 10.0), o, d, np.full(200, 60.0)
+    )
     assert error(ours, truth).max() < 1e-3
 
 
@@ -141,7 +143,9 @@ def test_under_water(eta):
     d = np.concatenate([np.zeros((300, 2)) - o[:, :2], np.zeros((300, 1))], axis=1)
     d = d + np.random.default_rng(3).uniform(-1.5, 1.5, (300, 3))
     d = build.rounded(d / np.linalg.norm(d, axis=1, keepdims=True))
-    ours = build.single_scattering(scene, o, d, medium=scene.sensors()[0].get_medium(), internal_bounces=0, tolerance=1e-4)
+    ours = build.single_scattering(
+        scene, o, d, medium=scene.sensors()[0].get_medium(), internal_bounces=0, tolerance=1e-4
+    )
     sigma_s, sigma_t = sigma()
     up = d[:, 2] > 0
     t_max = np.where(up, -o[:, 2] / np.where(up, d[:, 2], 1), 60.0)
@@ -201,7 +205,10 @@ def test_bodies_that_touch(tmp_path):
     whole, left, right = box(low, high), box(low, middle_high), box(middle_low, high)
     images = []
     for parts in ((whole,), (left, right)):
-        shapes = {f"part{k}": build.mesh_shape(part, tmp_path / f"{len(parts)}{k}.ply", eta=1.0) for k, part in enumerate(parts)}
+        shapes = {
+            f"part{k}": build.mesh_shape(part, tmp_path / f"{len(parts)}{k}.ply", eta=1.0)
+            for k, part in enumerate(parts)
+        }
         for shape in shapes.values():
             shape["bsdf"] = {"type": "null"}
         scene = mi.load_dict({"type": "scene", **shapes, "light": build.point_light(light)}, optimize=False)
@@ -223,7 +230,9 @@ def test_hollow_shell(tmp_path):
     shape = build.mesh_shape(shell, tmp_path / "m.ply", eta=1.3)
     scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light(light)})
     ours = build.single_scattering(scene, o, d, internal_bounces=1, tolerance=1e-3)
-    truth = oracle.camera_radiance([body_of(shell, 1.3)], [(np.array(light), np.full(3, 10.0))], o, d, 1, subdivisions=6)
+    truth = oracle.camera_radiance(
+        [body_of(shell, 1.3)], [(np.array(light), np.full(3, 10.0))], o, d, 1, subdivisions=6
+    )
     some = truth.sum(axis=1) > 0.01 * truth.sum(axis=1).mean()
     assert np.median(error(ours[some], truth[some])) < 2e-3
     assert abs(ours.sum() / truth.sum() - 1) < 3e-3

@@ -155,7 +155,7 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
         free, undecided = shadow(lighting, point, tri, s, taken, active)
         is_open |= active & undecided
         active &= free
-        value = weight * scale * inverse_slope * _integrand(point, tri, lighting, segment) 
+        value = weight * scale * inverse_slope * _integrand(point, tri, lighting, segment)
         value *= dr.exp(-sigma_t * t - lighting.extinction(sigma_t, point.omega, segment.d) * s)
         if accuracy.points == 1:  # the mean of the exponential along the interval, relative to its middle
             value *= _sinhc(0.5 * change)
