@@ -14,7 +14,7 @@ import mitsuba as mi
 
 from . import lanes, optics, tolerances
 from .geometry import triangle
-from .scene import NONE, SceneError, holds
+from .scene import NONE, holds, refusal
 
 
 @dataclass
@@ -111,7 +111,7 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
             sigma_t = dr.select(legs.region == region.index, region.coefficients(wavelengths, legs.d)[1], sigma_t)
     length = dr.select(hit, pi.t, tolerances.ENDLESS)
     arriving = Legs(**{**legs.__dict__, "weight": legs.weight * dr.exp(-sigma_t * dr.select(within, length, 0))})
-    dr.eval(arriving, hit, boundary, mirror, leaving, legs.region)
+    dr.eval(arriving, hit, boundary, mirror, leaving, legs.region, pi, target)  # the ray is traced once
 
     for region in scene.regions:
         if region.scatters:
@@ -234,8 +234,12 @@ def _refuse_other_medium(scene, legs, target, other):
         return
     around, hit = (int(dr.gather(mi.UInt32, x, found)[0]) for x in (legs.region, target))
     if around != NONE and scene.regions[around].body is None:
-        raise SceneError(f"{scene.bodies[hit].name} is in the medium that the sensor is in, but has another exterior medium or none: "
-                         "give it this medium as its exterior")  # fmt: skip
+        raise refusal(
+            "exterior",
+            scene.bodies[hit].name,
+            other="the medium that the sensor is in",
+            what="another exterior medium or none",
+        )
 
 
 def _refuse_overlaps(scene, legs, t, target, other):
@@ -250,5 +254,4 @@ def _refuse_overlaps(scene, legs, t, target, other):
         a = None if here == NONE else scene.regions[here].body
         b = scene.bodies[hit]
         if a is not None and a is not b and b.closed and holds(a, point) and holds(b, point):
-            raise SceneError(f"{b.name} overlaps {a.name}: refscatter supports volumes apart from or inside each other only; "
-                             "separate them")  # fmt: skip
+            raise refusal("overlap", b.name, other=a.name)

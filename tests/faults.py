@@ -56,7 +56,7 @@ def render(scene):
 
 
 def refused(build_scene, *words):
-    """Loading or rendering fails, with one sentence that holds these words."""
+    """Loading or rendering fails, with one sentence that holds these words, and is returned."""
     with pytest.raises((RuntimeError, ValueError)) as caught:
         render(build_scene())
     sentence = str(caught.value)
@@ -65,6 +65,7 @@ def refused(build_scene, *words):
     assert len(sentence.splitlines()) == 1 and len(sentence) < 320, sentence
     for word in words:
         assert word in sentence, sentence
+    return sentence
 
 
 def with_faces(faces):

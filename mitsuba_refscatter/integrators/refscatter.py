@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import camera, film, lanes, options, platform, wavefront
-from ..scene import SceneError, refuse_gradients
+from ..scene import REFUSED, SceneError, refuse_gradients
 from .lit import Prepared, scatter
 
 NESTED_WITH_MEDIA = ("Volumetric", "VolpathMis", "PRBVolpath", "Refscatter")
@@ -178,7 +178,5 @@ def _nested(props, hide_emitters):
         raise options.OptionError("refscatter: the nested integrator does not work along rays: use path")
     names = f"{nested[0].class_name()} {type(nested[0]).__name__} {nested[0]}"
     if any(name in names for name in NESTED_WITH_MEDIA):
-        raise options.OptionError(
-            "refscatter: the nested integrator samples media, which would count scattering twice: use path"
-        )
+        raise options.OptionError(f"refscatter: {REFUSED['twice'].says}")
     return nested[0]

@@ -14,6 +14,7 @@ from . import shapes
 from .bodies import NONE
 from .errors import SceneError, name_shape
 from .regions import Regions
+from .support import REFUSED, refusal
 
 
 @dataclass
@@ -160,8 +161,7 @@ def region_of_camera(scene, medium, origin):
     region = scene.regions[body.inside]
     if region.medium != medium:
         what = "no medium" if medium is None else "another medium"
-        raise SceneError(f"the camera is inside {body.name} but its sensor names {what}: give the sensor a reference to the "
-                         "medium around it, or move it out")  # fmt: skip
+        raise refusal("camera medium", body.name, what=what)
     return region.index
 
 
@@ -169,8 +169,9 @@ def refuse_gradients(scene):
     """Raises ``SceneError`` where derivatives are asked for; outside of ``dr.suspend_grad``, which hides it."""
     for key, value in mi.traverse(scene):
         if dr.grad_enabled(value):
-            raise SceneError(f'gradients are enabled on "{key}": refscatter does not compute derivatives yet; '
-                             "call dr.disable_grad on it")  # fmt: skip
+            raise refusal("gradients", f'the parameter "{key}"')
 
 
-__all__ = ["NONE", "Scene", "SceneError", "holds", "name_shape", "read", "refuse_gradients", "region_of_camera"]
+__all__ = [
+    "NONE", "REFUSED", "Scene", "SceneError", "holds", "name_shape", "read", "refusal", "refuse_gradients", "region_of_camera",
+]  # fmt: skip

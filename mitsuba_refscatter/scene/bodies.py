@@ -13,7 +13,7 @@ from ..geometry import mesh as mesh_facts
 from ..geometry import triangle
 from ..lanes import NONE  # no body; the region that has no medium and is no body's inside
 from .errors import SceneError, name_shape
-from .support import BOUNDARIES, PERTURBED
+from .support import BOUNDARIES, PERTURBED, refusal
 
 
 @dataclass
@@ -100,20 +100,15 @@ def kind_of(shape):
         return None
     if bsdf_kind in BOUNDARIES:
         if shape.is_emitter():
-            raise SceneError(f"{name} is the boundary of a body and an emitter at once: refscatter does not support this; "
-                             "remove the emitter")  # fmt: skip
+            raise refusal("shines", name)
         return BOUNDARIES[bsdf_kind]
     if bsdf is not None and any(
         key.endswith("bsdf.eta") or key.endswith("bsdf_0.eta") for key in mi.traverse(bsdf).keys()
     ):
-        what = PERTURBED.get(bsdf_kind, bsdf_kind)
         if bsdf_kind in PERTURBED:
-            raise SceneError(
-                f"{name} has a dielectric inside the BSDF {what} ({bsdf_kind}): refscatter needs the plain dielectric"
-            )
+            raise refusal("perturbed", name, bsdf=PERTURBED[bsdf_kind])
     if shape.interior_medium() is not None:
-        raise SceneError(f"{name} has an interior medium but the BSDF {bsdf_kind}: refscatter needs a smooth, untextured "
-                         "dielectric, a thindielectric or a null as its boundary")  # fmt: skip
+        raise refusal("bsdf", name, bsdf=bsdf_kind)
     return None
 
 
@@ -121,9 +116,7 @@ def read(shape, kind, index, first_record):
     """``Body`` of a mesh."""
     name = name_shape(shape)
     if not shape.is_mesh():
-        raise SceneError(
-            f"{name} is a {shape.class_name().lower()}, of which refscatter makes no boundary: use a ply or obj of it"
-        )
+        raise refusal("shape", name, shape=shape.class_name().lower())
     vertices, faces, normals = _read_mesh(shape, name)
     corners = vertices[faces]
     topology, twin = faces, mesh_facts.twins(faces)
@@ -131,8 +124,7 @@ def read(shape, kind, index, first_record):
         topology = mesh_facts.weld(vertices, faces)
         twin = mesh_facts.twins(topology)
     if twin is None:
-        raise SceneError(f"{name} has triangles that wind inconsistently or share an edge with more than one other: "
-                         "refscatter needs a surface with two sides; make its orientation consistent")  # fmt: skip
+        raise refusal("two sides", name)
     part, closed = mesh_facts.components(topology), bool((twin >= 0).all())
     winding, agreement = triangle.geometric_normal(corners), None
     if normals is not None:
@@ -166,7 +158,7 @@ def _properties(bsdf, kind, name):
         if not keys:
             continue
         if not all(key.endswith((".value", ".values")) for key in keys):
-            raise SceneError(f"{name} has a {what} that varies over the surface: refscatter needs a constant one")
+            raise refusal("tint varies", name, what=what)
         texture = parameters.properties[keys[0]][2]
         if not bool(dr.all(dr.ravel(parameters[keys[0]]) == 1)):
             tints[what] = texture
@@ -215,8 +207,7 @@ def _around(corners, part, name):
             if i != j:
                 share = enclosed_share(pieces[i], pieces[j])
                 if 0 < share < 1:
-                    raise SceneError(f"{name} has a part that overlaps another: refscatter supports volumes apart from or inside "
-                                     "each other; separate them")  # fmt: skip
+                    raise refusal("overlap", f"a part of {name}", other="another")
                 out[i, j] = share == 1
     return out
 

@@ -15,7 +15,7 @@ from ..geometry import mesh as mesh_facts
 from ..optics import Source
 from .errors import SceneError, describe, name_shape
 from .media import visible
-from .support import CONVEX_EMITTERS, DELTA_EMITTERS, REFUSED_EMITTERS
+from .support import CONVEX_EMITTERS, DELTA_EMITTERS, refusal
 
 
 @dataclass
@@ -132,10 +132,9 @@ def read(scene, bodies, scatters):
         name = describe(emitter, "emitter", f"of type {kind}")
         if emitter.get_shape() is not None:
             name = f"the {kind} emitter of {name_shape(emitter.get_shape())}"
-        reason = _refusal(emitter, kind)
-        if reason is not None:
+        if not _is_known(emitter, kind):
             if scatters:
-                raise SceneError(f"{name} {reason}")
+                raise refusal("emitter", name)
             continue
         exact = _exact(emitter, kind, name, bodies) if kind in DELTA_EMITTERS else None
         shape = emitter.get_shape()
@@ -145,13 +144,9 @@ def read(scene, bodies, scatters):
     return lights
 
 
-def _refusal(emitter, kind):
-    """Why an emitter is not supported, and what to do; None if it is."""
-    if kind in REFUSED_EMITTERS:
-        return REFUSED_EMITTERS[kind]
-    flags = emitter.flags()
-    known = kind in DELTA_EMITTERS or kind == "AreaLight" or mi.has_flag(flags, mi.EmitterFlags.Infinite)
-    return None if known else REFUSED_EMITTERS["other"]
+def _is_known(emitter, kind):
+    """Whether an emitter is supported."""
+    return kind in DELTA_EMITTERS or kind == "AreaLight" or mi.has_flag(emitter.flags(), mi.EmitterFlags.Infinite)
 
 
 def _exact(emitter, kind, name, bodies):

@@ -6,13 +6,13 @@ import numpy as np
 
 from .. import optics
 from .errors import SceneError
-from .support import MEDIUM
+from .support import MEDIUM, refusal
 
 
 def check(name, medium):
     """Refuses a medium (of the object ``name``) that is not homogeneous or has values that no medium has."""
     if medium.class_name() != MEDIUM:
-        raise SceneError(f"{name} has the medium {medium.class_name()}: refscatter needs a homogeneous one")
+        raise refusal("medium", name, medium=medium.class_name())
     limits = {"albedo": (0, 1), "sigma_t": (0, np.inf), "scale": (0, np.inf), "phase_function": (-1, 1)}
     for key, value in mi.traverse(medium):
         option = key.split(".")[0]
@@ -21,7 +21,7 @@ def check(name, medium):
             voxels = np.array(value).reshape(-1, np.shape(value)[-1])
             varies = bool((voxels != voxels[0]).any())
         if option in ("albedo", "sigma_t", "phase_function") and varies:
-            raise SceneError(f"{name} has a medium whose {option} varies in space: refscatter needs a constant one")
+            raise refusal("varies", name, what=option)
         # In spectral variants a colour is stored as coefficients of a spectrum; Mitsuba takes colours in [0, 1] there.
         colour = mi.is_spectral and isinstance(value, mi.Color3f)
         checked = (

@@ -10,6 +10,7 @@ from .. import tolerances
 from . import media
 from .bodies import NONE, enclosed_share
 from .errors import SceneError
+from .support import refusal
 
 
 @dataclass
@@ -84,8 +85,7 @@ class Regions:
         region = self.found[container.inside]
         if region.medium != medium:
             what = "no exterior medium" if medium is None else "another exterior medium"
-            raise SceneError(f"{body.name} is inside {container.name} but has {what}: give it the medium around it as its "
-                             "exterior, or none where there is none")  # fmt: skip
+            raise refusal("exterior", body.name, other=container.name, what=what)
         return region.index
 
 
@@ -107,8 +107,7 @@ def _containers(closed):
                 continue
             share = enclosed_share(outer.corners, inner.corners)
             if 0 < share < 1:
-                raise SceneError(f"{inner.name} overlaps {outer.name}: refscatter supports volumes apart from or inside each other "
-                                 "only; separate them")  # fmt: skip
+                raise refusal("overlap", inner.name, other=outer.name)
             if share == 1:
                 around.setdefault(inner.index, []).append(outer)
     return {

@@ -14,6 +14,7 @@ import numpy as np
 from .. import lanes
 from ..geometry.geodesic import geodesic_sphere
 from .errors import SceneError, name_shape
+from .support import refusal
 
 SHARE = 1 / 3
 """Part of the image's tolerated error that replacing curved surfaces by triangles may cause."""
@@ -195,8 +196,7 @@ def _matrix(shape):
 def _mesh(surface, shape, name):
     """``mi.Mesh`` of the id ``name`` in place of a shape, with its BSDF and media."""
     if shape.is_emitter() or shape.is_sensor():
-        raise SceneError(f"{name_shape(shape)} is the boundary of a body and an emitter or a sensor at once: "
-                         "refscatter does not support this; remove the emitter or sensor")  # fmt: skip
+        raise refusal("shines", name_shape(shape))
     properties = mi.Properties()
     parts = {"bsdf": shape.bsdf(), "interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
     for key, part in parts.items():
@@ -238,8 +238,7 @@ def _tessellated(shape, tolerance):
     """``Surface`` of a sphere, cylinder or disk in the coordinates that its ``to_world`` leads to."""
     kind = shape.class_name()
     if kind not in PROBES:
-        raise SceneError(f"{name_shape(shape)} is a {kind.lower()}, of which refscatter makes no triangles: it needs "
-                         "a mesh for the boundary of a body; give it as a ply or obj")  # fmt: skip
+        raise refusal("shape", name_shape(shape), shape=kind.lower())
     matrix = _matrix(shape)
     if kind == "Sphere":
         surface = _sphere(frequency(tolerance))
@@ -277,8 +276,7 @@ def _faces_out(shape, matrix):
     here = np.array(si.is_valid()) & (away < PLACE * radius + ROUNDING * np.abs(probe.vertices).max())
     cosine = np.einsum("ij,ij->i", np.array(si.n).T, probe.normals)
     if not (here.all() and (np.abs(cosine) > 0.99).all() and np.ptp(np.sign(cosine)) == 0):
-        raise SceneError(f"{name_shape(shape)} is a {shape.class_name().lower()} with a to_world that scales it "
-                         "unevenly or shears it, which Mitsuba does not support: give it as a ply or obj")  # fmt: skip
+        raise refusal("to_world", name_shape(shape), shape=shape.class_name().lower())
     return bool(cosine[0] > 0)
 
 

@@ -2,16 +2,21 @@
 
 from dataclasses import dataclass
 
+from .errors import SceneError
+
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a scene: ``kind`` (column of the table), ``name`` (as in a scene file), and how it is handled; where it is
-    not (``supported`` is False), ``how`` is the error message's reason and what to do."""
+    """A part of a scene: ``kind`` and ``name`` as in the table, and ``how`` it is handled.
+
+    ``says``: where it is refused, what the error message says after the object's name: the reason, and what to do, with
+    fields in braces. Empty where it is supported.
+    """
 
     kind: str
     name: str
     how: str
-    supported: bool = True
+    says: str = ""
 
 
 DELTA_EMITTERS = ("PointLight", "SpotLight", "DirectionalEmitter", "Projector")
@@ -20,56 +25,93 @@ DELTA_EMITTERS = ("PointLight", "SpotLight", "DirectionalEmitter", "Projector")
 CONVEX_EMITTERS = ("Sphere", "Rectangle", "Disk")
 """Shapes that are never in the way of the light that they send themselves."""
 
-REFUSED_EMITTERS = {
-    "DirectionalArea": "is a directionalarea: refscatter has no light points for it; use a directional or an area emitter",
-    "other": "is of a kind that refscatter has no light points for: use point, spot, directional, area, constant or envmap",
-}
-
 BOUNDARIES = {"SmoothDielectric": "refracts", "Null": "null", "ThinDielectric": "thin"}
 """BSDFs of the boundaries of bodies, by class name: light is refracted, goes on straight, or straight with Fresnel loss."""
 
 PERTURBED = {
-    "BumpMap": "bumpmap",
-    "NormalMap": "normalmap",
-    "MaskBSDF": "mask",
-    "BlendBSDF": "blendbsdf",
-    "TwoSidedBRDF": "twosided",
-}
+    "BumpMap": "bumpmap", "NormalMap": "normalmap", "MaskBSDF": "mask", "BlendBSDF": "blendbsdf", "TwoSidedBRDF": "twosided",
+}  # fmt: skip
 """BSDFs that may hold a dielectric, by class name: the boundary would not be smooth, or not everywhere."""
+
+TESSELLATED = ("Sphere", "Cylinder", "Disk")
+"""Analytic shapes of which meshes are made where they are boundaries."""
 
 MEDIUM = "HomogeneousMedium"
 
-PARTS = (
-    Part("emitter", "point, spot, projector", "exact; a spot's falloff and texture by Mitsuba's own evaluation"),
-    Part("emitter", "directional", "exact"),
-    Part("emitter", "area (on any shape, textured)", "`light_samples` light points per pass"),
-    Part("emitter", "constant, envmap, sunsky", "`light_samples` directions per pass"),
-    Part("emitter", "directionalarea", REFUSED_EMITTERS["DirectionalArea"], False),
-    Part("boundary", "dielectric", "any relative index; constant specular_transmittance and specular_reflectance"),
-    Part("boundary", "null, thindielectric", "light goes on straight, also through several of them"),
-    Part("boundary", "bumpmap, normalmap, mask, blendbsdf around a dielectric", "refused: the boundary must be a plain dielectric", False),
-    Part("boundary", "roughdielectric with a medium", "refused: the boundary must be smooth", False),
-    Part("boundary", "textured specular_transmittance or specular_reflectance", "refused: must be constant", False),
-    Part("shape", "ply, obj, serialized, cube, rectangle", "meshes with facet or interpolated normals, closed or open"),
-    Part("shape", "sphere, cylinder, disk", "tessellated with exact normals as finely as `tolerance` asks"),
-    Part("shape", "instance, shapegroup", "each copy of a boundary becomes a mesh"),
-    Part("shape", "sdfgrid, curves, ellipsoids as a boundary", "refused: give a mesh", False),
-    Part("position", "camera inside or outside of media", "inside: the sensor names the medium it is in"),
-    Part("position", "lights inside or outside of media", "inside: light also goes straight to where it scatters"),
-    Part("position", "opaque objects inside or outside", "shadows, and ends of camera rays"),
-    Part("position", "several bodies, bodies inside others (bubbles, hollow shells)", "each with its own index and medium; those around others name the medium as the inner one's exterior"),
-    Part("position", "mirrors (conductor), clear glass on the camera's side", "followed up to `internal_bounces`"),
-    Part("position", "a dielectric between light and body", "casts a shadow: no connection through it is made"),
-    Part("position", "bodies that overlap", "refused: volumes must be apart from or inside each other", False),
-    Part("medium", "homogeneous", "rgb, spectral, scale"),
-    Part("medium", "heterogeneous, or coefficients that vary in space", "refused: must be homogeneous", False),
-    Part("phase function", "isotropic, hg", "closed forms"),
-    Part("phase function", "any other", "by its own evaluation"),
-    Part("other", "gradients", "refused: call dr.disable_grad", False),
-)  # fmt: skip
+SUPPORTED = {
+    "point": Part("emitter", "`point`", "exact"),
+    "spot": Part("emitter", "`spot`, `projector`", "exact, falloff and texture by Mitsuba's own evaluation"),
+    "directional": Part("emitter", "`directional`", "exact"),
+    "area": Part("emitter", "`area` on any shape, textured or not", "`light_samples` points per pass"),
+    "environment": Part("emitter", "`constant`, `envmap`, `sunsky`", "`light_samples` directions per pass"),
+    "several": Part("emitter", "several at once", "exact ones all; the others share `light_samples` by their power"),
+    "dielectric": Part("boundary", "`dielectric`", "any relative index, above, below or equal to 1"),
+    "straight": Part("boundary", "`null`, `thindielectric`", "light goes straight, also through several of them"),
+    "tints": Part("boundary", "constant `specular_transmittance`, `specular_reflectance`", "in every crossing"),
+    "mesh": Part("shape", "`ply`, `obj`, `serialized`, `cube`, `rectangle`", "closed or open; facet or interpolated normals"),
+    "analytic": Part("shape", "`sphere`, `cylinder`, `disk`", "tessellated with exact normals as `tolerance` asks"),
+    "instance": Part("shape", "`instance` of a `shapegroup`", "each copy of a boundary becomes a mesh"),
+    "camera": Part("position", "camera outside or inside of media", "inside: the sensor names the medium that it is in"),
+    "light inside": Part("position", "light outside or inside of media", "inside: light also goes straight to where it scatters"),
+    "opaque": Part("position", "opaque objects outside or inside", "shadows, and ends of camera rays"),
+    "bodies": Part("position", "several bodies, also touching each other", "each with its own index and medium"),
+    "nested": Part("position", "bodies inside others: bubbles, hollow shells", "those inside name the medium around as their exterior"),
+    "seen": Part("position", "bodies behind clear glass or in a mirror (smooth `conductor`)", "up to `internal_bounces` such hits"),
+    "glass between": Part("position", "a `dielectric` between a light and a body", "casts a shadow: no connection through it"),
+    "homogeneous": Part("medium", "`homogeneous`", "rgb or spectral, `scale`; any albedo"),
+    "hg": Part("phase function", "`isotropic`, `hg`", "closed forms"),
+    "phase": Part("phase function", "any other", "by its own `eval_pdf`"),
+}  # fmt: skip
+"""What is supported, by key."""
+
+REFUSED = {
+    "emitter": Part("emitter", "`directionalarea` and what is not listed above", "no points that light all of a body",
+                    "is of a kind that refscatter has no light points for: use a point, spot, directional, area, constant or envmap"),
+    "perturbed": Part("boundary", "`bumpmap`, `normalmap`, `mask`, `blendbsdf`, `twosided` around a `dielectric`", "must be smooth everywhere",
+                      "has a dielectric inside the BSDF {bsdf}: refscatter needs the plain dielectric"),
+    "bsdf": Part("boundary", "any other BSDF on a shape with an interior medium", "must be smooth: `roughdielectric` scatters",
+                 "has an interior medium but the BSDF {bsdf}: refscatter needs a smooth dielectric, a thindielectric or a null as its boundary"),
+    "tint varies": Part("boundary", "textured `specular_transmittance`, `specular_reflectance`", "must be constant",
+                        "has a {what} that varies over the surface: refscatter needs a constant one"),
+    "shines": Part("boundary", "a boundary that is an emitter or a sensor, too", "light would start on it",
+                   "is the boundary of a body and an emitter or a sensor at once: refscatter does not support this; remove the emitter or sensor"),
+    "shape": Part("shape", "`sdfgrid`, curves, `ellipsoids` as a boundary", "no triangles are made of them",
+                  "is a {shape}, of which refscatter makes no triangles: the boundary of a body must be a mesh; give it as a ply or obj"),
+    "to_world": Part("shape", "`sphere`, `cylinder` scaled unevenly or sheared", "not supported by Mitsuba itself",
+                     "is a {shape} with a to_world that scales it unevenly or shears it, which Mitsuba does not support: give it as a ply or obj"),
+    "two sides": Part("shape", "triangles that wind inconsistently, edges of more than two", "no inside and outside",
+                      "has triangles that wind inconsistently or share an edge with more than one other: refscatter needs a surface with two "
+                      "sides; make its orientation consistent"),
+    "overlap": Part("position", "bodies that overlap", "the medium there is not defined",
+                    "overlaps {other}: refscatter supports volumes apart from or inside each other only; separate them"),
+    "exterior": Part("position", "a body inside another that does not name the medium around it", "both must say the same",
+                     "is inside {other} but has {what}: give it the medium around it as its exterior, or none where there is none"),
+    "camera medium": Part("position", "a camera inside a body whose medium its sensor does not name", "both must say the same",
+                          "is where the camera is, but the sensor names {what}: give the sensor a reference to the medium around it, or move it out"),
+    "medium": Part("medium", "`heterogeneous`", "attenuation must have a closed form",
+                   "has the medium {medium}: refscatter needs a homogeneous one"),
+    "varies": Part("medium", "coefficients or phase functions that vary in space", "must be constant",
+                   "has a medium whose {what} varies in space: refscatter needs a constant one"),
+    "twice": Part("integrator", "a nested integrator that samples media", "would count scattering twice",
+                  "the nested integrator samples media, which would count scattering twice: use path"),
+    "gradients": Part("other", "derivatives", "not computed yet",
+                      "has gradients enabled: refscatter does not compute derivatives yet; call dr.disable_grad on it"),
+}  # fmt: skip
+"""What is refused, by key."""
+
+
+def refusal(key, name, **fields):
+    """The ``SceneError`` that refuses the object ``name``; ``fields``: of the entry's message."""
+    return SceneError(f"{name} {REFUSED[key].says.format(**fields)}")
 
 
 def table():
     """The list as a table in Markdown."""
-    rows = [f"| {p.kind} | {p.name} | {'yes' if p.supported else 'no'} | {p.how} |" for p in PARTS]
-    return "\n".join(["| part of a scene | | supported | how |", "|---|---|---|---|", *rows])
+    kinds = list(dict.fromkeys(part.kind for part in (*SUPPORTED.values(), *REFUSED.values())))
+    rows = [
+        f"| {part.kind} | {part.name} | {'no: ' if part.says else ''}{part.how} |"
+        for kind in kinds
+        for part in (*SUPPORTED.values(), *REFUSED.values())
+        if part.kind == kind
+    ]
+    return "\n".join(["| part of a scene | | |", "|---|---|---|", *rows])

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .bodies import bumpy_sphere, rounded_cube, sphere
+from .bodies import amber, bumpy_sphere, rounded_cube, sphere
 from .branches import branches
 from .ply import write_ply
 from .templates import SCENES
+from .water import water
 
 __all__ = ["BODIES", "SCENES", "BodyError", "make_body", "scene_names", "write_ply", "write_scene"]
 
@@ -16,6 +17,8 @@ BODIES = {
     "sphere": sphere,
     "rounded_cube": rounded_cube,
     "branches": branches,
+    "amber": amber,
+    "underwater": water,
 }
 
 
@@ -45,12 +48,14 @@ def make_body(name: str, triangles: int | None = None):
 
 
 def write_scene(name: str, directory, triangles: int | None = None) -> tuple[Path, int]:
-    """Write ``directory/scene.xml`` and its mesh; return the XML's path and the triangle count."""
+    """Write ``directory/scene.xml``, its mesh and what else it needs; return the XML's path and the triangle count."""
     vertices, faces, normals = make_body(name, triangles)
     directory = Path(directory)
     (directory / "meshes").mkdir(parents=True, exist_ok=True)
     comment = f"{name}, {len(faces)} triangles, written by: refscatter scenes"
     write_ply(directory / "meshes" / f"{name}.ply", vertices, faces, normals, comment)
+    for file, content in SCENES[name].files.items():
+        (directory / file).write_bytes(content())
     path = directory / "scene.xml"
     path.write_text(SCENES[name].xml(name, len(faces)), encoding="utf-8")
     return path, len(faces)

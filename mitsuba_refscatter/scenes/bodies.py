@@ -8,17 +8,31 @@ form 20 f² that is nearest to what was asked for.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..geometry.geodesic import geodesic_sphere, nearest_frequency
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]
 
-# Bumps of the bumpy sphere: sum of AMPLITUDE/√WAVES · sin(k·direction + phase).
-BUMP_WAVES = 24
-BUMP_AMPLITUDE = 0.04  # in radii, root of the summed squared wave heights
-BUMP_WAVELENGTHS = (0.4, 0.6)  # in radii
-BUMP_SEED = 3
+
+@dataclass(frozen=True)
+class Bumps:
+    """Waves on a sphere: sum of amplitude/√waves · sin(k·direction + phase); lengths in radii.
+
+    ``amplitude``: root of the summed squared wave heights; ``wavelengths``: the shortest and the longest.
+    """
+
+    waves: int
+    amplitude: float
+    wavelengths: tuple[float, float]
+    seed: int
+
+
+BUMPY_SPHERE = Bumps(waves=24, amplitude=0.04, wavelengths=(0.4, 0.6), seed=3)
+AMBER = Bumps(waves=10, amplitude=0.07, wavelengths=(1.3, 2.6), seed=11)
+AMBER_AXES = (1.25, 0.95, 0.85)  # of the ellipsoid that the waved sphere is stretched to
 
 # Rounded cube: |x|_p = CUBE_SIZE − GROOVE_DEPTH · Σ_i exp(−(x_i/GROOVE_WIDTH)²).
 CUBE_POWER = 8
@@ -37,27 +51,32 @@ def sphere(triangles: int) -> Mesh:
     return d, faces, d.copy()
 
 
-def _bump_waves() -> tuple[np.ndarray, np.ndarray, float]:
-    """Wave vectors (n, 3), phases (n) and the common height, the same on every machine."""
-    rng = np.random.RandomState(BUMP_SEED)
-    k = _unit(rng.normal(size=(BUMP_WAVES, 3)))
-    k *= 2 * np.pi / rng.uniform(*BUMP_WAVELENGTHS, size=(BUMP_WAVES, 1))
-    phase = rng.uniform(0, 2 * np.pi, size=BUMP_WAVES)
-    return k, phase, BUMP_AMPLITUDE / BUMP_WAVES**0.5
-
-
-def bumpy_sphere(triangles: int) -> Mesh:
+def _waved_sphere(bumps: Bumps, triangles: int) -> Mesh:
     """Sphere of radius 1 with smooth bumps and dents: r(d) = 1 + Σ a sin(k·d + φ).
 
     The normal is that of the smooth surface, r d − ∇r with ∇r along the sphere.
     """
+    rng = np.random.RandomState(bumps.seed)  # the same numbers on every machine
+    k = _unit(rng.normal(size=(bumps.waves, 3)))
+    k *= 2 * np.pi / rng.uniform(*bumps.wavelengths, size=(bumps.waves, 1))
+    phase, height = rng.uniform(0, 2 * np.pi, size=bumps.waves), bumps.amplitude / bumps.waves**0.5
     d, faces = geodesic_sphere(nearest_frequency(triangles))
-    k, phase, height = _bump_waves()
     angle = d @ k.T + phase
     r = 1.0 + height * np.sin(angle).sum(axis=1, keepdims=True)
     slope = height * np.cos(angle) @ k
     slope -= d * (d * slope).sum(axis=1, keepdims=True)
     return r * d, faces, _unit(r * d - slope)
+
+
+def bumpy_sphere(triangles: int) -> Mesh:
+    """Sphere of radius 1 with short bumps."""
+    return _waved_sphere(BUMPY_SPHERE, triangles)
+
+
+def amber(triangles: int) -> Mesh:
+    """A polished pebble: a sphere with long, shallow bumps, stretched."""
+    vertices, faces, normals = _waved_sphere(AMBER, triangles)
+    return vertices * AMBER_AXES, faces, _unit(normals / AMBER_AXES)
 
 
 def _cube_residual(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
