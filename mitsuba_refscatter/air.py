@@ -39,15 +39,17 @@ class Air:
             ray = mi.Ray3f(o, direction)
             ray.maxt = left
             pi = scene.mi_scene.ray_intersect_preliminary(ray, active=active)
-            hit = active & pi.is_valid()
+            hit, passes, ahead, factor, behind = active & pi.is_valid(), mi.Bool(False), pi.t, mi.Spectrum(0), region
+            if scene.straight is not None:
+                passes, region, ahead, factor, behind = self._cross(direction, region, pi, hit)
             sigma_t = mi.Spectrum(0)
             for index, sigma in sigmas:
                 sigma_t = dr.select(region == index, sigma, sigma_t)
             value = dr.select(active, value * dr.exp(-sigma_t * dr.select(hit, pi.t, left)), value)
-            o, left, region, factor, passes = self._cross(o, direction, left, region, pi, hit)
             value = dr.select(hit, value * factor, value)
             crossed = dr.select(hit, dr.select(passes, crossed + 1, BLOCKED), crossed)
-            return o, left, region, value, crossed, hit & passes
+            o, left = mi.Point3f(o + ahead * direction), dr.maximum(left - ahead, 0)
+            return o, left, behind, value, crossed, hit & passes
 
         state = (
             mi.Point3f(start) + dr.zeros(mi.Point3f, n), distance + dr.zeros(mi.Float, n),
@@ -56,11 +58,10 @@ class Air:
         end = dr.while_loop(state, lambda *x: x[-1], step, label="air", mode="symbolic")
         return dr.select(end[4] == BLOCKED, mi.Spectrum(0), end[3]), end[4]
 
-    def _cross(self, o, direction, left, region, pi, hit):
-        """What is behind a hit: place, distance left, region, share of the light that passes, and whether any does."""
+    def _cross(self, direction, region, pi, hit):
+        """What a hit with a boundary that does not refract means: whether it is one, the region before it, the distance to
+        just behind it, the share of the light that passes, and the region there."""
         scene = self.scene
-        if scene.straight is None:
-            return o, left, region, mi.Spectrum(0), mi.Bool(False)
         target = scene.find(pi.shape)
         passes = hit & (target != lanes.NONE)
         passes &= dr.gather(mi.Bool, scene.straight, target, passes)
@@ -77,24 +78,12 @@ class Air:
             if not body.refracts and "specular_transmittance" in body.tints:
                 tint = body.tint("specular_transmittance", self.wavelengths)
                 factor = dr.select(target == body.index, factor * tint, factor)
-        region = dr.select(
-            passes,
-            dr.select(
-                leaving,
-                dr.gather(mi.UInt32, scene.outside, target, passes),
-                dr.gather(mi.UInt32, scene.inside, target, passes),
-            ),
-            region,
-        )
+        here = scene.near(target, leaving, passes)
+        missed = scene.missed_behind(region, target, leaving, passes & (here != region))
         offset = dr.gather(mi.Float, scene.extent, target, passes) * tolerances.SHADOW_OFFSET
         ahead = pi.t + offset / dr.maximum(dr.abs(cosine), tolerances.GRAZING)
-        return (
-            mi.Point3f(o + ahead * direction),
-            dr.maximum(left - ahead, 0),
-            region,
-            dr.select(passes, factor, 0),
-            passes,
-        )
+        behind = dr.select(passes, scene.near(target, ~leaving, passes), region)
+        return passes, dr.select(missed, here, region), ahead, dr.select(passes, factor, 0), behind
 
 
 @dataclass

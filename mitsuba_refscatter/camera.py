@@ -92,17 +92,18 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     tri = triangle.gather(scene.records, index, boundary)
     leaving = boundary & (dr.dot(legs.d, tri.Ng) > 0)
     # The region that the boundary says is around; another one is a slip through an edge, or bodies that touch.
-    inside, outside = (dr.gather(mi.UInt32, x, target, boundary) for x in (scene.inside, scene.outside))
-    here, behind = dr.select(leaving, inside, outside), dr.select(leaving, outside, inside)
+    here = scene.near(target, leaving, boundary)
     other = boundary & (here != legs.region)
     _refuse_overlaps(scene, legs, pi.t, target, other)
     if first:
         _refuse_other_medium(scene, legs, target, other & ~leaving)
-    # A leg that has missed a refraction at this body: what that does to radiance is made up for.
-    eta2 = dr.square(dr.gather(mi.Float, scene.eta, target, other))
-    factor = dr.select(leaving, dr.rcp(eta2), eta2)
-    legs.weight = dr.select(other & (behind == legs.region), legs.weight * factor, legs.weight)
-    legs.region = dr.select(other, here, legs.region)
+    # What the crossing that was missed does to radiance is made up for: before this leg, or after it where its body
+    # touches the one that is met.
+    behind = scene.missed_behind(legs.region, target, leaving, other)
+    factor = scene.squared_index(legs.region) / scene.squared_index(here)
+    legs.weight = dr.select(behind, legs.weight * factor, legs.weight)
+    after = dr.select(other & ~behind, factor, 1)
+    legs.region = dr.select(behind, here, legs.region)
 
     sigma_t, within = mi.Spectrum(0), legs.region != NONE
     wavelengths = lanes.of(ray.wavelengths, legs.sample)
@@ -110,8 +111,10 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
         if region.medium is not None:
             sigma_t = dr.select(legs.region == region.index, region.coefficients(wavelengths, legs.d)[1], sigma_t)
     length = dr.select(hit, pi.t, tolerances.ENDLESS)
-    arriving = Legs(**{**legs.__dict__, "weight": legs.weight * dr.exp(-sigma_t * dr.select(within, length, 0))})
-    dr.eval(arriving, hit, boundary, mirror, leaving, legs.region, pi, target)  # the ray is traced once
+    arriving = Legs(
+        **{**legs.__dict__, "weight": legs.weight * after * dr.exp(-sigma_t * dr.select(within, length, 0))}
+    )
+    dr.eval(arriving, hit, boundary, mirror, leaving, legs.weight, legs.region, pi, target)  # the ray is traced once
 
     for region in scene.regions:
         if region.scatters:

@@ -27,6 +27,9 @@ GRAZING = 1e-3
 ARRIVAL_OFFSET = 1e-5
 """Relative to the body's largest coordinate: how far towards the light its way is followed from a boundary."""
 
+MOST_PANELS = 2048
+"""Most panels of the quadrature for light that is not refracted: enough for a lobe of 0.005 rad."""
+
 BISECTIONS = 10
 """Halvings that find where along a camera segment the light begins or ends to be blocked: to 1e-3 of a panel of the
 quadrature."""
@@ -149,7 +152,8 @@ class Accuracy:
     bent more are subdivided. ``points``: Gauss points along the curve in one beam. ``newton``: Newton
     steps per point. ``weight``: camera legs with a smaller weight are dropped. ``interval_samples``, ``point_samples``: per
     interval and per camera segment, of the estimators of these names; ``point_samples`` do not reach the tolerance, the noise is about 0.5 / sqrt(samples).
-    ``panels``, ``panel_points``: of the quadrature for light that is not refracted; ``adapts``: whether intervals across which much is absorbed get more.
+    ``panels``, ``panel_points``: of the quadrature for light that is not refracted, and ``lobes``: error that it may make of a phase
+    function's integral; ``adapts``: whether intervals across which much is absorbed get more.
     """
 
     bend: float
@@ -162,6 +166,7 @@ class Accuracy:
     point_samples: int
     panels: int
     panel_points: int
+    lobes: float
     adapts: bool = True
 
 
@@ -179,6 +184,7 @@ def accuracy(tolerance):
             point_samples=8,
             panels=6,
             panel_points=2,
+            lobes=1e-2,
         )
     if tolerance >= 0.01:
         return Accuracy(
@@ -192,6 +198,7 @@ def accuracy(tolerance):
             point_samples=32,
             panels=12,
             panel_points=2,
+            lobes=1e-3,
         )
     if tolerance >= 0.001:
         return Accuracy(
@@ -205,6 +212,7 @@ def accuracy(tolerance):
             point_samples=128,
             panels=24,
             panel_points=2,
+            lobes=1e-4,
         )
     return Accuracy(
         bend=0.02,
@@ -217,6 +225,7 @@ def accuracy(tolerance):
         point_samples=512,
         panels=48,
         panel_points=3,
+        lobes=1e-5,
     )
 
 

@@ -149,9 +149,7 @@ def test_light_that_is_not_finite(make, value):
 @pytest.mark.parametrize("target", [(0, 0, -1), (0, 3, 0.4)])
 def test_camera_inside(make, target):
     """Without the medium that it is in."""
-    refused(
-        lambda: make.scene(sensor=sensor((0.1, 0.1, 0.2), target)), "camera", "inside", '"ball"', "no medium", "move it"
-    )
+    refused(lambda: make.scene(sensor=sensor((0.1, 0.1, 0.2), target)), "camera", '"ball"', "no medium", "move it")
 
 
 # ---- Through the command --------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """The command, run as a user runs it."""
 
+import functools
 import json
 import os
 import re
@@ -166,7 +167,9 @@ def test_interrupting_keeps_the_earlier_picture(tmp_path):
     (tmp_path / "out.exr").write_bytes(b"earlier")
     command = COMMAND + ["render", str(SPHERE), "-o", "out.exr", "-s", "256"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, **pipes)
+    # A shell that runs this in the background makes its processes deaf to SIGINT.
+    hears = functools.partial(signal.signal, signal.SIGINT, signal.default_int_handler)
+    process = subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, preexec_fn=hears, **pipes)
     assert process.stderr is not None
     assert "Rendering" in process.stderr.readline()
     time.sleep(8)  # the first kernels are compiled by then

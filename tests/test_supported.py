@@ -45,11 +45,10 @@ REFUSED = {
     "tint varies": lambda make: make.scene(ball=make.ball(bsdf=BOUNDARIES["texture"][0]())),
     "shines": lambda make: make.scene(ball=make.ball(emitter={"type": "area", "radiance": 1.0})),
     "shape": lambda make: make.scene(
-        other={"type": "sdfgrid", "grid": mi.TensorXf(np.ones((2, 2, 2, 1))), "bsdf": glass(), "interior": amber()}
+        other={"type": "sdfgrid", "grid": mi.TensorXf(np.linspace(-1, 1, 8, dtype=np.float32).reshape(2, 2, 2, 1)), "bsdf": glass(), "interior": amber()}
     ),
     "to_world": lambda make: make.scene(
-        ball={"type": "cylinder", "bsdf": glass(), "interior": amber(),
-              "to_world": mi.ScalarTransform4f([[1, 0.5, 0, 0], [0, 1.5, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])}
+        ball={"type": "sphere", "bsdf": glass(), "interior": amber(), "to_world": mi.ScalarTransform4f().scale([1, 1, 0.5])}
     ),
     "two sides": lambda make: make.scene(ball=make.ball(with_faces(FLIPPED))),
     "overlap": lambda make: make.scene(other=make.ball(OVERLAPPING, eta=1.3)),

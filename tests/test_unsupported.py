@@ -72,10 +72,10 @@ BOUNDARIES = {
     "rough dielectric": (lambda: {"type": "roughdielectric"}, ["RoughDielectric", "smooth"]),
     "diffuse": (lambda: {"type": "diffuse"}, ["Diffuse", "dielectric"]),
     "conductor": (lambda: {"type": "conductor"}, ["Conductor", "dielectric"]),
-    "mask": (lambda: around("mask", opacity=0.5), ["MaskBSDF", "dielectric"]),
-    "bumpmap": (lambda: around("bumpmap", bumps=checkerboard()), ["BumpMap", "dielectric"]),
-    "normalmap": (lambda: around("normalmap", normalmap=tilted()), ["NormalMap", "dielectric"]),
-    "blend": (lambda: blend("blendbsdf", "dielectric", "diffuse"), ["BlendBSDF", "dielectric"]),
+    "mask": (lambda: around("mask", opacity=0.5), ["mask", "dielectric"]),
+    "bumpmap": (lambda: around("bumpmap", bumps=checkerboard()), ["bumpmap", "dielectric"]),
+    "normalmap": (lambda: around("normalmap", normalmap=tilted()), ["normalmap", "dielectric"]),
+    "blend": (lambda: blend("blendbsdf", "dielectric", "diffuse"), ["blendbsdf", "dielectric"]),
     "texture": (lambda: glass(specular_transmittance=checkerboard()), ["specular_transmittance", "constant"]),
     "index 0": (lambda: glass(int_ior=0.0), ["index of refraction", "positive"]),
     "index NaN": (lambda: glass(int_ior=float("nan")), ["index of refraction", "nan", "positive"]),
@@ -111,7 +111,7 @@ def test_medium(make, name):
 def test_other_parts_of_a_body(make):
     masked = around("mask", opacity=0.5)
     for changes, words in (
-        ({"interior": None, "bsdf": masked}, ["MaskBSDF", "plain dielectric"]),
+        ({"interior": None, "bsdf": masked}, ["mask", "plain dielectric"]),
         ({"emitter": {"type": "area", "radiance": 1.0}}, ["emitter", "remove the emitter"]),
     ):
         refused(lambda: make.scene(ball=make.ball(**changes)), '"ball"', *words)
@@ -159,7 +159,7 @@ def test_a_body_inside_another_without_exterior(make):
 def test_light_that_is_not_supported(make):
     """It is named by its shape: the light itself has no name of its own."""
     panel = rectangle(emitter={"type": "directionalarea", "radiance": 1.0})
-    refused(lambda: make.scene(panel=panel), '"panel"', "directionalarea", "use a directional")
+    refused(lambda: make.scene(panel=panel), '"panel"', "DirectionalArea", "use a point")
 
 
 def test_any_light_where_nothing_scatters(make):

@@ -10,19 +10,50 @@ step. Where T jumps, since something begins or ends to be in the way, the panel 
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from .. import tolerances
+from .. import lanes, tolerances
 
 
-def scatter(segments, source, emission, phase, directed, way, accuracy):
+def angle_panels(phase, accuracy):
+    """Panels into which half a circle around a light must be cut for a ``phase`` function's lobes.
+
+    Told by the quadrature itself: of its integral over the angle of scattering, with the panels in four places, the largest
+    error must be below ``accuracy.lobes`` relative to the whole. (A light that is near a camera ray sees it under up to half a
+    circle, and panels that are even in that angle are so in that of scattering.)
+    """
+    shifts, (x, w) = (np.arange(4) + 0.5) / 4, tolerances.gauss(accuracy.panel_points)
+    counts = [accuracy.panels]
+    while counts[-1] < tolerances.MOST_PANELS:
+        counts.append(2 * counts[-1])
+    nodes = [
+        np.pi * (np.arange(n)[:, None, None] + shifts[:, None] - 0.5 + np.array(x)) / n
+        for n in (*counts, 2 * counts[-1])
+    ]
+    angle = np.concatenate([node.ravel() for node in nodes])
+    omega, d = (mi.Vector3f(lanes.array(mi.Float, f(angle)), 0, lanes.array(mi.Float, g(angle)))
+                for f, g in ((np.sin, np.cos), (np.zeros_like, np.ones_like)))  # fmt: skip
+    value = mi.Float(phase(omega, d))
+    if dr.width(value) == 1:  # isotropic
+        return accuracy.panels
+    # The function of the angle is even and periodic: panels that are shifted past 0 or pi continue it.
+    values = np.split(np.array(value, dtype=np.float64), np.cumsum([node.size for node in nodes])[:-1])
+    integrals = [(v.reshape(node.shape) * w).sum(axis=(0, 2)) / len(node) for v, node in zip(values, nodes)]
+    exact = integrals[-1].mean()
+    fine = [n for n, total in zip(counts, integrals) if np.abs(total - exact).max() <= accuracy.lobes * exact]
+    return fine[0] if fine else counts[-1]
+
+
+def scatter(segments, source, emission, phase, directed, way, accuracy, angles):
     """Radiance along every segment (Spectrum, without sigma_s, intensity and the segment's weight).
 
     ``source``: ``optics.Source`` in the segments' coordinates; ``emission``, ``phase``, ``directed``: as ``lighting.Lighting``
     has them; ``way(V, direction, distance, active) -> (T, number)``: what is left of the light from V to there, and a number that
-    changes where T jumps; None where nothing but the segments' medium is in between.
+    changes where T jumps; None where nothing but the segments' medium is in between; ``angles``: panels of the angle
+    (``angle_panels``).
     """
     integrand = _Integrand(segments, source, emission, phase, directed, way)
-    panels = _ByDepth(segments) if source.distant else _ByAngle(segments, source.L)
+    panels = _ByDepth(segments) if source.distant else _ByAngle(segments, source.L, angles)
     total = _integrate(panels, integrand, len(segments), accuracy, way is not None)
     dr.eval(total)
     return total
@@ -55,8 +86,9 @@ class _ByDepth:
 class _ByAngle(_ByDepth):
     """Panels of a light at ``L``: steps of depth and of the angle."""
 
-    def __init__(self, segments, L):
+    def __init__(self, segments, L, angles):
         super().__init__(segments)
+        self.most, self.angles = angles, dr.opaque(mi.UInt32, angles)
         d, to_light = segments.d, L - segments.o
         self.foot = dr.dot(to_light, d)
         away = dr.fma(-self.foot, d, to_light)  # with the digits of h, not of the light's distance
@@ -67,7 +99,7 @@ class _ByAngle(_ByDepth):
         self.angle = self._between(0, self.t_max)
 
     def count(self, n):
-        return 2 * n - 1
+        return n + self.most - 1
 
     def _between(self, a, b):
         """The angle from a to b, without differences of large ones."""
@@ -80,9 +112,9 @@ class _ByAngle(_ByDepth):
 
     def next(self, k, j, n):
         by_depth = self.end(k + 1, n)
-        by_angle = self._beyond(0, self.angle * (mi.Float(j + 1) / mi.Float(n)))
-        by_angle = dr.select(j + 1 < n, by_angle, self.t_max)
-        depth_first = (k + 1 < n) & ((j + 1 >= n) | (by_depth < by_angle))
+        by_angle = self._beyond(0, self.angle * (mi.Float(j + 1) / mi.Float(self.angles)))
+        by_angle = dr.select(j + 1 < self.angles, by_angle, self.t_max)
+        depth_first = (k + 1 < n) & ((j + 1 >= self.angles) | (by_depth < by_angle))
         end = dr.clip(dr.select(depth_first, by_depth, by_angle), 0, self.t_max)
         return end, k + dr.select(depth_first, 1, 0), j + dr.select(depth_first, 0, 1)
 

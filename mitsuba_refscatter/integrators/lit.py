@@ -32,12 +32,16 @@ class Prepared:
             )
         self.estimator, self.culling, self.light_samples = ESTIMATORS[opt.estimator], opt.culling, opt.light_samples
         self.counts = wavefront.Counts()
-        self._lit, self._clearances, self._spindles, self._start = {}, {}, {}, {}
+        self._lit, self._clearances, self._spindles, self._start, self._panels = {}, {}, {}, {}, {}
 
     def start(self, medium, ray):
         """Index of the region in which camera rays start."""
         origin = np.array(dr.gather(mi.Point3f, mi.Point3f(ray.o), mi.UInt32(0))).ravel()
         return _once(self._start, None, lambda: region_of_camera(self.scene, medium, origin))
+
+    def angle_panels(self, region):
+        """``straight.angle_panels`` of a region's phase function."""
+        return _once(self._panels, region.index, lambda: straight.angle_panels(region.phase, self.accuracy))
 
     @property
     def draws(self):
@@ -231,6 +235,7 @@ def _straight(prepared, region, stretch, light_point, value, single):
     total = straight.scatter(
         stretch.segments(at, sigma_t), light_point.source(mi.Float(1), centre),
         light_point.emission(centre, stretch.wavelengths), region.phase, region.directed, None if free else way, prepared.accuracy,
+        0 if light_point.distant else prepared.angle_panels(region),
     )  # fmt: skip
     dr.scatter_add(single.value, stretch.weight * sigma_s * value * total, stretch.sample)
     single.eval()

@@ -23,7 +23,8 @@ class Scene:
 
     ``mi_scene``: Mitsuba's, in which every boundary is a mesh of its own; ``records``: the packed triangles of all
     bodies, each in its body's coordinates; ``body_of_shape``, ``eta``, ``first_record``, ``centre``, ``extent``,
-    ``inside``, ``outside``: tables for lookups in kernels; ``thin``, ``straight``: the same where some boundary is, else None;
+    ``inside``, ``outside``: tables for lookups in kernels, as ``index2`` and ``owner`` by region: square of the index of refraction
+    relative to the outermost, and the closed body whose inside it is, or NONE; ``thin``, ``straight``: the same where some boundary is, else None;
     ``others``: the shapes that are no bodies; ``mirrors``: whether some of them are.
     """
 
@@ -39,6 +40,8 @@ class Scene:
     extent: object
     inside: object
     outside: object
+    index2: object
+    owner: object
     thin: object
     straight: object
     others: list
@@ -47,6 +50,23 @@ class Scene:
     def find(self, shape):
         """Index of the body of each shape pointer, or NONE; a null pointer is no body."""
         return dr.gather(mi.UInt32, self.body_of_shape, dr.reinterpret_array(mi.UInt32, shape))
+
+    def near(self, target, leaving, active):
+        """Region on the near side of rays that meet the boundaries ``target``, from inside where they are ``leaving``."""
+        inside, outside = (dr.gather(mi.UInt32, table, target, active) for table in (self.inside, self.outside))
+        return dr.select(leaving, inside, outside)
+
+    def missed_behind(self, region, target, leaving, active):
+        """Of rays that meet a boundary from another region than theirs: which have already been in the one on its near side. The
+        others come from the inside of a body that touches it, and have missed the boundary of that."""
+        known = active & (region != NONE)
+        owner = dr.select(known, dr.gather(mi.UInt32, self.owner, region, known), NONE)
+        return active & (leaving | (owner == NONE) | (owner == target))
+
+    def squared_index(self, region):
+        """Square of the index of refraction of regions."""
+        known = region != NONE
+        return dr.select(known, dr.gather(mi.Float, self.index2, region, known), 1)
 
     def is_mirror(self, shape):
         """Whether each shape pointer is a mirror."""
@@ -77,6 +97,8 @@ def read(scene, tolerance):
            for key, kind in (("eta", mi.Float), ("first_record", mi.UInt32), ("extent", mi.Float),
                              ("inside", mi.UInt32), ("outside", mi.UInt32))},
         centre=lanes.array(mi.Float, [x for body in bodies for x in body.centre] or [0, 0, 0]),
+        index2=lanes.array(mi.Float, np.square(_indices(bodies, regions))),
+        owner=lanes.array(mi.UInt32, [NONE if region.body is None else region.body.index for region in regions]),
         thin=_where(body.kind == "thin" for body in bodies),
         straight=_where(not body.refracts for body in bodies),
         others=others,
@@ -88,6 +110,21 @@ def read(scene, tolerance):
 def _where(flags):
     flags = list(flags)
     return lanes.array(mi.Bool, flags) if any(flags) else None
+
+
+def _indices(bodies, regions):
+    """Index of refraction of each region relative to the outermost."""
+    index, known = (
+        np.ones(len(regions)),
+        {NONE} | {r.index for r in regions if not any(b.inside == r.index for b in bodies)},
+    )
+    while any(body.outside in known and body.inside not in known for body in bodies):
+        for body in bodies:
+            if body.outside in known and body.inside not in known:
+                around = 1.0 if body.outside == NONE else index[body.outside]
+                index[body.inside] = around * (body.eta if body.refracts else 1.0)
+                known.add(body.inside)
+    return index
 
 
 def _per_shape(scene, kind, default, values):

@@ -77,7 +77,7 @@ REFUSED = {
                    "is the boundary of a body and an emitter or a sensor at once: refscatter does not support this; remove the emitter or sensor"),
     "shape": Part("shape", "`sdfgrid`, curves, `ellipsoids` as a boundary", "no triangles are made of them",
                   "is a {shape}, of which refscatter makes no triangles: the boundary of a body must be a mesh; give it as a ply or obj"),
-    "to_world": Part("shape", "`sphere`, `cylinder` scaled unevenly or sheared", "not supported by Mitsuba itself",
+    "to_world": Part("shape", "a `sphere` that is scaled unevenly", "not supported by Mitsuba itself",
                      "is a {shape} with a to_world that scales it unevenly or shears it, which Mitsuba does not support: give it as a ply or obj"),
     "two sides": Part("shape", "triangles that wind inconsistently, edges of more than two", "no inside and outside",
                       "has triangles that wind inconsistently or share an edge with more than one other: refscatter needs a surface with two "

@@ -7,10 +7,11 @@ from pathlib import Path
 from .bodies import amber, bumpy_sphere, rounded_cube, sphere
 from .branches import branches
 from .ply import write_ply
+from .studio import STUDIO
 from .templates import SCENES
 from .water import water
 
-__all__ = ["BODIES", "SCENES", "BodyError", "make_body", "scene_names", "write_ply", "write_scene"]
+__all__ = ["BODIES", "SCENES", "STUDIO", "BodyError", "make_body", "scene_names", "write_ply", "write_scene"]
 
 BODIES = {
     "bumpy_sphere": bumpy_sphere,

@@ -1,0 +1,217 @@
+"""``refscatter equal-error``: time to a given error of the image for lights that are neither points nor directions.
+
+The body of ``bumpy_sphere`` and its view, lit by a sphere of several radii in place of the point light, all of the same
+power, and by the environment map of ``amber``. Error of an image: the square root of its variance over the pixels plus
+that of its bias, relative to the image, sqrt(sum (a - b)^2 / sum b^2). Variances are those between renders with different
+seeds. ``volpath``, restricted to the same light paths, has an error that falls with the square root of its samples,
+so its time is computed from a few renders that are much too noisy; below the radii at which these tell its error it is
+extrapolated by a power law in the radius. Ours is rendered until the error is reached.
+"""
+
+import math
+import statistics
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from .. import scenes as scene_files
+from . import results
+
+BODY, STUDIO_SCENE = "bumpy_sphere", "amber"
+DEPTH = 4
+"""``max_depth`` of ``volpath``: camera, into the body, scattering, out of the body, light."""
+BIAS_TOLERANCE = 1e-4
+"""Tolerance of the image that ours is compared with, at the same light points, to tell its bias."""
+MOST_SAMPLES = 1 << 14
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is measured. ``radii``: of sphere lights for which ``volpath`` is rendered; ``radius``: of the one for which it is
+    extrapolated; ``seconds``: for which ``volpath`` renders each light; ``replicates``: of our renders."""
+
+    variant: str
+    triangles: int = 5120
+    resolution: int = 64
+    error: float = 0.01
+    tolerance: float = 0.01
+    radii: tuple = (0.8, 0.4, 0.2)
+    radius: float = 0.05
+    seconds: float = 60.0
+    replicates: int = 6
+    samples: int = 64
+
+
+def run(setup, report=lambda row: None):
+    """Rows of results, ``volpath`` and ``refscatter`` for each light; ``report(row)`` is called after each.
+
+    Own keys: ``light``, ``radius``, ``error``, ``seconds_to_error``, ``extrapolated``; and ``speedup`` of ours.
+    """
+    import mitsuba as mi
+
+    mi.set_variant(setup.variant)
+    import mitsuba_refscatter  # noqa: F401 - registers the plugin
+
+    rows = []
+
+    def add(row):
+        rows.append(row)
+        report(row)
+
+    with tempfile.TemporaryDirectory() as directory:
+        scenes = _Scenes(setup, Path(directory))
+        for radius in (*sorted({*setup.radii, setup.radius}, reverse=True), None):
+            truth, ours = _refscatter(setup, scenes, radius)
+            if radius is None or radius in setup.radii:
+                theirs = _volpath(setup, scenes, radius, truth)
+            else:
+                theirs = _extrapolated(rows, radius)
+            add(_row(setup, scenes, "volpath", radius, **theirs))
+            if ours["seconds_to_error"] is not None:
+                ours["speedup"] = theirs["seconds_to_error"] / ours["seconds_to_error"]
+            add(_row(setup, scenes, "refscatter", radius, **ours))
+    return rows
+
+
+class _Scenes:
+    """The body and its view under some light."""
+
+    def __init__(self, setup, directory):
+        import mitsuba as mi
+        import numpy as np
+
+        path, self.triangles = scene_files.write_scene(BODY, directory / BODY, setup.triangles)
+        scene_files.write_scene(STUDIO_SCENE, directory / STUDIO_SCENE, 20)
+        self._studio = directory / STUDIO_SCENE / scene_files.STUDIO
+        base, clear = (mi.load_file(str(path), optimize=False, res=str(setup.resolution)) for _ in range(2))
+        self._sensor, point = base.sensors()[0], mi.traverse(base.emitters()[0])
+        self._position, self._intensity = (np.array(point[key]).ravel() for key in ("position", "intensity.value"))
+        parameters = mi.traverse(clear)
+        parameters["body.interior_medium.albedo.value.value"] = mi.Color3f(0)
+        parameters.update()
+        self._bodies = [next(s for s in scene.shapes() if s.id() == "body") for scene in (base, clear)]
+
+    def light(self, radius):
+        """A sphere of a radius, or without one the environment map."""
+        if radius is None:
+            return {"type": "envmap", "filename": str(self._studio)}
+        radiance = self._intensity / (math.pi * radius**2)
+        return {"type": "sphere", "center": self._position.tolist(), "radius": radius,
+                "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance.tolist()}}}  # fmt: skip
+
+    def load(self, radius, integrator, scatters=True):
+        """``mi.Scene``; ``scatters``: False for the same with albedo 0."""
+        import mitsuba as mi
+
+        parts = {"type": "scene", "integrator": integrator, "sensor": self._sensor}
+        return mi.load_dict({**parts, "body": self._bodies[not scatters], "light": self.light(radius)}, optimize=False)
+
+
+def _image(scene, seed, samples):
+    """Image (H, W, 3) in float64, and the seconds that it took."""
+    import numpy as np
+
+    start = time.perf_counter()
+    image = np.array(scene.integrator().render(scene, seed=seed, spp=samples), dtype=np.float64)[..., :3]
+    return image, time.perf_counter() - start
+
+
+def _error2(images, truth):
+    """Square of the error of one of several images: their variance."""
+    return float(images.var(axis=0, ddof=1).sum() / (truth**2).sum())
+
+
+def _volpath(setup, scenes, radius, truth):
+    """Error and time of ``volpath``. Its unscattered light is subtracted with the same seeds, where it is the same; only the
+    render with scattering is timed."""
+    import numpy as np
+
+    integrator = {"type": "volpath", "max_depth": DEPTH, "rr_depth": 1000}
+    scene, clear = scenes.load(radius, integrator), scenes.load(radius, integrator, scatters=False)
+    _image(scene, 0, setup.samples), _image(clear, 0, setup.samples)  # compiles
+    images, times, start = [], [], time.perf_counter()
+    while len(images) < 8 or time.perf_counter() - start < setup.seconds:
+        image, seconds = _image(scene, 1 + len(images), setup.samples)
+        images.append(image - _image(clear, 1 + len(images), setup.samples)[0])
+        times.append(seconds)
+    images, seconds = np.array(images), statistics.median(times)
+    error2 = _error2(images, truth)
+    means = images.mean(axis=(1, 2, 3))
+    deviation = (means.mean() - truth.mean()) / (means.std(ddof=1) / len(means) ** 0.5)
+    return dict(samples=setup.samples, wall_seconds=seconds, relmse=error2, bias=float(means.mean() / truth.mean() - 1),
+                bias_in_standard_errors=float(deviation), seconds_to_error=seconds * error2 / setup.error**2,
+                extrapolated=False)  # fmt: skip
+
+
+def _extrapolated(rows, radius):
+    """The time of ``volpath`` by the power law that fits larger radii."""
+    import numpy as np
+
+    known = [(row["radius"], row["seconds_to_error"]) for row in rows if row["method"] == "volpath"]
+    slope, offset = np.polyfit(*np.log(known).T, 1)
+    return dict(
+        seconds_to_error=float(np.exp(offset + slope * np.log(radius))), exponent=float(slope), extrapolated=True
+    )
+
+
+def _refscatter(setup, scenes, radius):
+    """Error and time of ours, with four times the samples until the error is reached; and its mean image."""
+    import numpy as np
+
+    def scene(**options):
+        fixed = {"surfaces": False, "internal_bounces": 0, "tolerance": setup.tolerance}
+        return scenes.load(radius, {"type": "refscatter", **fixed, **options})
+
+    usual, exact = scene(), scene(tolerance=BIAS_TOLERANCE)
+    pairs = [[_image(s, 0, 1)[0] for s in (usual, exact)] for _ in range(2)][-1]
+    bias2 = float(((pairs[0] - pairs[1]) ** 2).sum() / (pairs[1] ** 2).sum())
+    samples = 1
+    while True:
+        images, times = zip(*(_image(usual, 1 + k, samples) for k in range(setup.replicates)))
+        images = np.array(images)
+        error2 = _error2(images, images.mean(axis=0)) + bias2
+        if error2 <= setup.error**2 or samples >= MOST_SAMPLES:
+            break
+        samples *= 4
+    seconds = statistics.median(times)
+    return images.mean(axis=0), dict(
+        samples=samples, wall_seconds=seconds, relmse=error2, bias=float(pairs[0].sum() / pairs[1].sum() - 1),
+        seconds_to_error=seconds if error2 <= setup.error**2 else None, extrapolated=False,
+    )  # fmt: skip
+
+
+def _row(setup, scenes, method, radius, **measured):
+    settings = {"resolution": setup.resolution, "tolerance": setup.tolerance}
+    return {
+        **results.row(scene=BODY, method=method, variant=setup.variant, triangles=scenes.triangles,
+                      settings=settings if method == "refscatter" else {"max_depth": DEPTH, "resolution": setup.resolution}),
+        "light": "envmap" if radius is None else "sphere", "radius": radius, "error": setup.error, **measured,
+    }  # fmt: skip
+
+
+def plot(rows, path):
+    """Seconds to the error against the radius of the sphere light; as PNG."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, panel = pyplot.subplots(figsize=(5.5, 4), layout="constrained")
+    for method, marker in (("volpath", "s"), ("refscatter", "o")):
+        spheres = [row for row in rows if row["method"] == method and row["radius"] and row["seconds_to_error"]]
+        spheres.sort(key=lambda row: row["radius"])
+        (line,) = panel.loglog(
+            [row["radius"] for row in spheres], [row["seconds_to_error"] for row in spheres], label=method
+        )
+        for row in spheres:
+            face = "white" if row["extrapolated"] else line.get_color()
+            panel.plot(
+                row["radius"], row["seconds_to_error"], marker=marker, color=line.get_color(), markerfacecolor=face
+            )
+    panel.set(xlabel="radius of the sphere light", ylabel=f"seconds to {rows[0]['error']:.0%} error",
+              title="bumpy_sphere, hollow mark: extrapolated")  # fmt: skip
+    panel.grid(alpha=0.3)
+    panel.legend()
+    figure.savefig(path, dpi=120)
+    pyplot.close(figure)
