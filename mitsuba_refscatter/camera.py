@@ -226,6 +226,7 @@ def _reflected(scene, legs, ray, pi, mirror, internal_bounces, min_weight, first
     legs.entries = legs.entries + mi.UInt32(0 if first else 1)
     side = dr.copysign(dr.norm(si.p) * tolerances.CAMERA_OFFSET, dr.dot(d, si.n))
     legs.o, legs.d = mi.Point3f(si.p + si.n * side), mi.Vector3f(d)
+    dr.eval(legs)  # the mirrors are asked once
     kept = dr.compress(dr.max(legs.weight) > min_weight)
     return [legs.gather(kept)] if dr.width(kept) > 0 else []
 

@@ -1,28 +1,22 @@
-"""The command ``refscatter``: render, check, scenes, scaling, convergence.
+"""The command ``refscatter``: render, check, supported, scenes, scaling, convergence, equal-error.
 
 Errors are one sentence on stderr and exit code 1 (usage: 2, Ctrl-C: 130).
 """
 
 from __future__ import annotations
 
-import functools
 import re
-import sys
 import time
 from pathlib import Path
 from typing import List, Optional  # noqa: UP035 - typer reads these on Python 3.9
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from . import meshcheck, output, platform
+from . import measuring, meshcheck, output, platform
 from . import scenes as scene_files
-from .compare import convergence as convergence_runs
-from .compare import results
-from .compare import scaling as scaling_runs
-from .compare.methods import METHODS
+from .console import Failure, err, out, plainly
 
 app = typer.Typer(
     add_completion=False,
@@ -30,42 +24,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Volume caustics without noise, for Mitsuba 3.",
 )
-WIDE = 160  # columns of tables that go to a file
-out = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else WIDE)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
-
 _OURS = "RefscatterIntegrator["
 _WRAPPERS = ("AOVIntegrator", "MomentIntegrator")
-
-
-class Failure(Exception):
-    """An error that is told to the user in one sentence."""
-
-
-_EXPECTED = (
-    Failure,
-    platform.PlatformError,
-    output.OutputError,
-    meshcheck.MeshError,
-    scene_files.BodyError,
-)
-
-
-def _plainly(command):
-    """Let a command end with one sentence and an exit code instead of a traceback."""
-
-    @functools.wraps(command)
-    def wrapped(*args, **kwargs):
-        try:
-            return command(*args, **kwargs)
-        except KeyboardInterrupt:
-            err.print("refscatter: stopped; nothing was written")
-            raise typer.Exit(130) from None
-        except _EXPECTED as error:
-            err.print(f"refscatter: {error}", markup=False)
-            raise typer.Exit(1) from None
-
-    return wrapped
 
 
 def _cause(error: BaseException) -> str:
@@ -156,7 +116,7 @@ def _render(scene, integrator, spp: int, quiet: bool):
 
 
 @app.command()
-@_plainly
+@plainly
 def render(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Scene file in Mitsuba's XML."),
     file: Optional[Path] = typer.Option(
@@ -203,7 +163,7 @@ def render(
 
 
 @app.command()
-@_plainly
+@plainly
 def check():
     """Say what is installed, what is usable and what to do about what isn't."""
     report = platform.report()
@@ -224,7 +184,16 @@ def check():
 
 
 @app.command()
-@_plainly
+@plainly
+def supported():
+    """Print what a scene may hold and what is refused, as a table in Markdown."""
+    from .scene import support
+
+    print(support.table())
+
+
+@app.command()
+@plainly
 def scenes(
     name: Optional[str] = typer.Argument(None, metavar="[NAME]", help="Scene to write; none lists them."),
     triangles: Optional[int] = typer.Option(
@@ -247,104 +216,7 @@ def scenes(
     out.print(f"{path}  ({count} triangles)", markup=False)
 
 
-@app.command()
-@_plainly
-def scaling(
-    directory: Optional[Path] = typer.Option(
-        None, "-o", "--output", help="Directory for results.json. [default: print only]"
-    ),
-    triangles: list[int] = typer.Option(
-        list(scaling_runs.SIZES), "--triangles", min=1, help="Triangles of the body; repeatable."
-    ),
-    scene: str = typer.Option("bumpy_sphere", "--scene", help="One of the scenes made by code."),
-    resolution: int = typer.Option(256, "--resolution", min=1, help="Pixels on a side."),
-    samples: int = typer.Option(64, "--samples", min=1, help="Samples per pixel of volpath."),
-    bounces: int = typer.Option(
-        0, "--internal-bounces", min=0, help="Of refscatter; volpath has none in this comparison."
-    ),
-    methods: list[str] = typer.Option(list(METHODS), "--method", help="Method to compare with volpath; repeatable."),
-    variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
-):
-    """Measure cost against the number of triangles, in samples of volpath on the same machine in the same run."""
-    methods = _known(methods, METHODS, "--method", "method")
-    variant = _measurable(variant, directory)
-    table = _table("triangles", "method", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray",
-                   "contributing/ray", "L1 error", "peak MiB")  # fmt: skip
-
-    def add(rows):
-        for row in rows[:-1]:
-            memory = row["peak_memory_bytes"]
-            table.add_row(
-                str(row["triangles"]), row["method"], f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
-                f"{row['volpath_samples_of_same_wall_time']:.0f}", f"{row['volpath_samples_of_same_cpu_time']:.0f}",
-                f"{row['candidates_per_ray']:.0f}", f"{row['contributing_per_ray']:.0f}",
-                f"{row['mean_relative_error']:.1e}",
-                "" if memory is None else f"{memory / 2**20:.0f}",
-            )  # fmt: skip
-        err.print(f"{rows[0]['triangles']} triangles done")
-
-    rows = scaling_runs.run(triangles, add, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces,
-                            methods=tuple(methods), variant=variant)  # fmt: skip
-    out.print(table)
-    if directory is not None:
-        out.print(str(results.write(directory, rows)), markup=False)
-
-
-@app.command()
-@_plainly
-def convergence(
-    directory: Path = typer.Option(..., "-o", "--output", help="Directory for convergence.png and results.json."),
-    scenes: list[str] = typer.Option(
-        list(convergence_runs.SCENES), "--scene", help="One of the scenes made by code; repeatable."
-    ),
-    resolution: int = typer.Option(32, "--resolution", min=1, help="Pixels on a side."),
-    most: int = typer.Option(16384, "--most", min=16, help="Largest number of samples."),
-    variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
-):
-    """Plot how the estimators interval and point come to what the curve finds as their samples grow."""
-    scenes = _known(scenes, scene_files.BODIES, "--scene", "scene")
-    variant = _measurable(variant, directory)
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise Failure("the plot needs matplotlib: pip install 'mitsuba_refscatter[compare]'") from error
-    table, rows = _table("scene", "estimator", "samples", "L1 difference", "bias", "wall s"), []
-
-    def add(row):
-        table.add_row(row["scene"], row["method"], str(row["samples"]), f"{row['mean_relative_error']:.1e}",
-                      f"{row['bias']:+.1e}", f"{row['wall_seconds']:.2f}")  # fmt: skip
-        err.print(f"{row['scene']}, {row['method']}, {row['samples']} samples done")
-
-    for name in scenes:
-        rows += convergence_runs.run(name, most, add, variant=variant, resolution=resolution)
-    out.print(table)
-    picture = directory / "convergence.png"
-    output.write_file(picture, lambda unfinished: convergence_runs.plot(rows, unfinished))
-    out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)
-
-
-def _known(names: list[str], known, option: str, kind: str) -> list[str]:
-    """The names, each once, if all of them are known."""
-    for name in names:
-        if name not in known:
-            raise typer.BadParameter(f"there is no {kind} '{name}': known are {', '.join(known)}", param_hint=option)
-    return list(dict.fromkeys(names))
-
-
-def _measurable(variant: Optional[str], directory: Optional[Path]) -> str:
-    """The variant to measure in, once it is certain that it runs and that results can be written."""
-    variant = variant or platform.default_variant()
-    platform.require_usable(variant)
-    if directory is not None:
-        output.directory(directory)
-    return variant
-
-
-def _table(*headings: str) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading in ("method", "scene", "estimator") else "right")
-    return table
+app.registered_commands += measuring.app.registered_commands
 
 
 def main() -> None:

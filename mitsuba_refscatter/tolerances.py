@@ -30,6 +30,10 @@ ARRIVAL_OFFSET = 1e-5
 MOST_PANELS = 2048
 """Most panels of the quadrature for light that is not refracted: enough for a lobe of 0.005 rad."""
 
+STRETCH = 2.0
+"""Factor by which the distance from a light's foot changes at most in one panel of the quadrature: attenuation, smooth
+in the distance, is then so in the angle."""
+
 BISECTIONS = 10
 """Halvings that find where along a camera segment the light begins or ends to be blocked: to 1e-3 of a panel of the
 quadrature."""

@@ -129,7 +129,8 @@ def _volpath(setup, scenes, radius, truth):
 
     integrator = {"type": "volpath", "max_depth": DEPTH, "rr_depth": 1000}
     scene, clear = scenes.load(radius, integrator), scenes.load(radius, integrator, scatters=False)
-    _image(scene, 0, setup.samples), _image(clear, 0, setup.samples)  # compiles
+    for warm_up in (scene, clear):
+        _image(warm_up, 0, setup.samples)
     images, times, start = [], [], time.perf_counter()
     while len(images) < 8 or time.perf_counter() - start < setup.seconds:
         image, seconds = _image(scene, 1 + len(images), setup.samples)

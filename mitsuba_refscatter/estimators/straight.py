@@ -5,7 +5,7 @@
 E the light's intensity over its squared distance (or irradiance), T what is left of it on its way (``air.Air``). In phi, the
 angle under which a light at distance h from the camera ray sees t from the ray's foot on, E dt = I dphi / h, so that near
 lights make no peak. Gauss quadrature in phi, in panels that end where either phi or the optical depth has gone another
-step. Where T jumps, since something begins or ends to be in the way, the panel is divided there.
+step, or the distance from the foot has grown or shrunk by a factor. Where T jumps, since something begins or ends to be in the way, the panel is divided there.
 """
 
 import drjit as dr
@@ -18,30 +18,32 @@ from .. import lanes, tolerances
 def angle_panels(phase, accuracy):
     """Panels into which half a circle around a light must be cut for a ``phase`` function's lobes.
 
-    Told by the quadrature itself: of its integral over the angle of scattering, with the panels in four places, the largest
-    error must be below ``accuracy.lobes`` relative to the whole. (A light that is near a camera ray sees it under up to half a
-    circle, and panels that are even in that angle are so in that of scattering.)
+    Told by the quadrature itself: with panels in four places, its largest error over the angles of scattering that they
+    cover must be below ``accuracy.lobes`` relative to the integral over all. (A light that is near a camera ray sees it under
+    up to half a circle, and panels that are even in that angle are so in that of scattering.)
     """
-    shifts, (x, w) = (np.arange(4) + 0.5) / 4, tolerances.gauss(accuracy.panel_points)
+    shifts, (x, w) = np.arange(4) / 4, (np.array(y) for y in tolerances.gauss(accuracy.panel_points))
     counts = [accuracy.panels]
     while counts[-1] < tolerances.MOST_PANELS:
         counts.append(2 * counts[-1])
-    nodes = [
-        np.pi * (np.arange(n)[:, None, None] + shifts[:, None] - 0.5 + np.array(x)) / n
-        for n in (*counts, 2 * counts[-1])
-    ]
-    angle = np.concatenate([node.ravel() for node in nodes])
+    nodes = [(np.arange(n - 1)[:, None, None] + shifts[:, None] + x) / n for n in counts]
+    fine = (np.arange(32 * tolerances.MOST_PANELS) + 0.5) / (32 * tolerances.MOST_PANELS)
+    parts = [*(node.ravel() for node in nodes), fine]
+    angle = np.pi * np.concatenate(parts)
     omega, d = (mi.Vector3f(lanes.array(mi.Float, f(angle)), 0, lanes.array(mi.Float, g(angle)))
                 for f, g in ((np.sin, np.cos), (np.zeros_like, np.ones_like)))  # fmt: skip
-    value = mi.Float(phase(omega, d))
+    value = phase(omega, d)
     if dr.width(value) == 1:  # isotropic
         return accuracy.panels
-    # The function of the angle is even and periodic: panels that are shifted past 0 or pi continue it.
-    values = np.split(np.array(value, dtype=np.float64), np.cumsum([node.size for node in nodes])[:-1])
-    integrals = [(v.reshape(node.shape) * w).sum(axis=(0, 2)) / len(node) for v, node in zip(values, nodes)]
-    exact = integrals[-1].mean()
-    fine = [n for n, total in zip(counts, integrals) if np.abs(total - exact).max() <= accuracy.lobes * exact]
-    return fine[0] if fine else counts[-1]
+    mean = np.array(value, dtype=np.float64).reshape(-1, len(angle)).mean(axis=0)
+    *values, exact = np.split(mean, np.cumsum([part.size for part in parts])[:-1])
+    upto = np.concatenate([[0], np.cumsum(exact)]) / len(exact)
+    for n, node, value in zip(counts, nodes, values):
+        ends = [np.interp((first + shifts) / n, np.linspace(0, 1, len(upto)), upto) for first in (0, n - 1)]
+        error = (value.reshape(node.shape) * w).sum(axis=(0, 2)) / n - (ends[1] - ends[0])
+        if np.abs(error).max() <= accuracy.lobes * upto[-1]:
+            return n
+    return counts[-1]
 
 
 def scatter(segments, source, emission, phase, directed, way, accuracy, angles):
@@ -74,8 +76,8 @@ class _ByDepth:
         """Where step k of n ends."""
         return self.t_max * dr.power(mi.Float(k) / mi.Float(n), self.growth)
 
-    def next(self, k, j, n):
-        """End of the panel that k steps of depth and j of angle precede, and how many do its end."""
+    def next(self, a, k, j, n):
+        """End of the panel from a on, which k steps of depth and j of angle precede, and how many do its end."""
         return self.end(k + 1, n), k + 1, j
 
     def place(self, a, b, y):
@@ -110,13 +112,18 @@ class _ByAngle(_ByDepth):
         T, x = dr.tan(angle), a - self.foot
         return a + T * (dr.square(self.h) + dr.square(x)) / (self.h - x * T)
 
-    def next(self, k, j, n):
+    def next(self, a, k, j, n):
         by_depth = self.end(k + 1, n)
         by_angle = self._beyond(0, self.angle * (mi.Float(j + 1) / mi.Float(self.angles)))
         by_angle = dr.select(j + 1 < self.angles, by_angle, self.t_max)
         depth_first = (k + 1 < n) & ((j + 1 >= self.angles) | (by_depth < by_angle))
         end = dr.clip(dr.select(depth_first, by_depth, by_angle), 0, self.t_max)
-        return end, k + dr.select(depth_first, 1, 0), j + dr.select(depth_first, 0, 1)
+        # Next to a light the angle has made its steps long before any depth is gone: on to there by factors.
+        x = a - self.foot
+        by_factor = self.foot + x * dr.select(x > 0, tolerances.STRETCH, 1 / tolerances.STRETCH)
+        on_the_way = (dr.abs(x) > self.h) & (by_factor < end)
+        k = k + dr.select(on_the_way | ~depth_first, 0, 1)
+        return dr.select(on_the_way, by_factor, end), k, j + dr.select(on_the_way | depth_first, 0, 1)
 
     def place(self, a, b, y):
         angle = self._between(a, b)
@@ -166,7 +173,7 @@ def _integrate(panels, integrand, n, accuracy, jumps):
         return total
 
     def panel(k, j, a, before, total):
-        b, k, j = panels.next(k, j, steps)
+        b, k, j = panels.next(a, k, j, steps)
         if not jumps:
             return k, j, b, before, total + gauss(a, b, mi.Bool(True))
         behind = number(b)
@@ -192,5 +199,5 @@ def _jump(a, b, before, jump, number):
     n = dr.width(jump)
     steps = dr.select(jump, mi.UInt32(tolerances.BISECTIONS), 0)
     state = (dr.zeros(mi.UInt32, n), a + dr.zeros(mi.Float, n), b + dr.zeros(mi.Float, n))
-    _, a, b = dr.while_loop(state, lambda i, *_: i < steps, halve, label="jump", mode="symbolic")
-    return 0.5 * (a + b)
+    end = dr.while_loop(state, lambda i, *_: i < steps, halve, label="jump", mode="symbolic")
+    return 0.5 * (end[1] + end[2])

@@ -1,0 +1,82 @@
+"""What all commands share: consoles, tables, and errors told in one sentence."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from pathlib import Path
+from typing import Optional
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from . import meshcheck, output, platform
+from . import scenes as scene_files
+
+WIDE = 160  # columns of tables that go to a file
+out = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else WIDE)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+class Failure(Exception):
+    """An error that is told to the user in one sentence."""
+
+
+_EXPECTED = (
+    Failure,
+    platform.PlatformError,
+    output.OutputError,
+    meshcheck.MeshError,
+    scene_files.BodyError,
+)
+
+
+def plainly(command):
+    """Let a command end with one sentence and an exit code instead of a traceback."""
+
+    @functools.wraps(command)
+    def wrapped(*args, **kwargs):
+        try:
+            return command(*args, **kwargs)
+        except KeyboardInterrupt:
+            err.print("refscatter: stopped; nothing was written")
+            raise typer.Exit(130) from None
+        except _EXPECTED as error:
+            err.print(f"refscatter: {error}", markup=False)
+            raise typer.Exit(1) from None
+
+    return wrapped
+
+
+def require_matplotlib() -> None:
+    """``Failure`` with what to install where matplotlib is missing."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise Failure("the plot needs matplotlib: pip install 'mitsuba_refscatter[compare]'") from error
+
+
+def known(names: list[str], known, option: str, kind: str) -> list[str]:
+    """The names, each once, if all of them are known."""
+    for name in names:
+        if name not in known:
+            raise typer.BadParameter(f"there is no {kind} '{name}': known are {', '.join(known)}", param_hint=option)
+    return list(dict.fromkeys(names))
+
+
+def measurable(variant: Optional[str], directory: Optional[Path]) -> str:
+    """The variant to measure in, once it is certain that it runs and that results can be written."""
+    variant = variant or platform.default_variant()
+    platform.require_usable(variant)
+    if directory is not None:
+        output.directory(directory)
+    return variant
+
+
+def table(*headings: str) -> Table:
+    """A plain table: names to the left, numbers to the right."""
+    out = Table(box=None, pad_edge=False)
+    for heading in headings:
+        out.add_column(heading, justify="left" if heading in ("light", "method", "scene", "estimator") else "right")
+    return out

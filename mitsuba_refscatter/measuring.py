@@ -1,0 +1,136 @@
+"""The commands that measure: scaling, convergence, equal-error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Optional
+
+import typer
+
+from . import output
+from . import scenes as scene_files
+from .compare import convergence as convergence_runs
+from .compare import equal_error as equal_error_runs
+from .compare import results
+from .compare import scaling as scaling_runs
+from .compare.methods import METHODS
+from .console import err, known, measurable, out, plainly, require_matplotlib, table
+
+app = typer.Typer()
+
+
+@app.command()
+@plainly
+def scaling(
+    directory: Optional[Path] = typer.Option(
+        None, "-o", "--output", help="Directory for results.json. [default: print only]"
+    ),
+    triangles: list[int] = typer.Option(
+        list(scaling_runs.SIZES), "--triangles", min=1, help="Triangles of the body; repeatable."
+    ),
+    scene: str = typer.Option("bumpy_sphere", "--scene", help="One of the scenes made by code."),
+    resolution: int = typer.Option(256, "--resolution", min=1, help="Pixels on a side."),
+    samples: int = typer.Option(64, "--samples", min=1, help="Samples per pixel of volpath."),
+    bounces: int = typer.Option(
+        0, "--internal-bounces", min=0, help="Of refscatter; volpath has none in this comparison."
+    ),
+    methods: list[str] = typer.Option(list(METHODS), "--method", help="Method to compare with volpath; repeatable."),
+    variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
+):
+    """Measure cost against the number of triangles, in samples of volpath on the same machine in the same run."""
+    methods = known(methods, METHODS, "--method", "method")
+    variant = measurable(variant, directory)
+    shown = table("triangles", "method", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray",
+                   "contributing/ray", "L1 error", "peak MiB")  # fmt: skip
+
+    def add(rows):
+        for row in rows[:-1]:
+            memory = row["peak_memory_bytes"]
+            shown.add_row(
+                str(row["triangles"]), row["method"], f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
+                f"{row['volpath_samples_of_same_wall_time']:.0f}", f"{row['volpath_samples_of_same_cpu_time']:.0f}",
+                f"{row['candidates_per_ray']:.0f}", f"{row['contributing_per_ray']:.0f}",
+                f"{row['mean_relative_error']:.1e}",
+                "" if memory is None else f"{memory / 2**20:.0f}",
+            )  # fmt: skip
+        err.print(f"{rows[0]['triangles']} triangles done")
+
+    rows = scaling_runs.run(triangles, add, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces,
+                            methods=tuple(methods), variant=variant)  # fmt: skip
+    out.print(shown)
+    if directory is not None:
+        out.print(str(results.write(directory, rows)), markup=False)
+
+
+@app.command()
+@plainly
+def convergence(
+    directory: Path = typer.Option(..., "-o", "--output", help="Directory for convergence.png and results.json."),
+    scenes: list[str] = typer.Option(
+        list(convergence_runs.SCENES), "--scene", help="One of the scenes made by code; repeatable."
+    ),
+    resolution: int = typer.Option(32, "--resolution", min=1, help="Pixels on a side."),
+    most: int = typer.Option(16384, "--most", min=16, help="Largest number of samples."),
+    variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
+):
+    """Plot how the estimators interval and point come to what the curve finds as their samples grow."""
+    scenes = known(scenes, scene_files.BODIES, "--scene", "scene")
+    variant = measurable(variant, directory)
+    require_matplotlib()
+    shown, rows = table("scene", "estimator", "samples", "L1 difference", "bias", "wall s"), []
+
+    def add(row):
+        shown.add_row(row["scene"], row["method"], str(row["samples"]), f"{row['mean_relative_error']:.1e}",
+                      f"{row['bias']:+.1e}", f"{row['wall_seconds']:.2f}")  # fmt: skip
+        err.print(f"{row['scene']}, {row['method']}, {row['samples']} samples done")
+
+    for name in scenes:
+        rows += convergence_runs.run(name, most, add, variant=variant, resolution=resolution)
+    out.print(shown)
+    picture = directory / "convergence.png"
+    output.write_file(picture, lambda unfinished: convergence_runs.plot(rows, unfinished))
+    out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)
+
+
+@app.command()
+@plainly
+def equal_error(
+    directory: Path = typer.Option(..., "-o", "--output", help="Directory for equal_error.png and results.json."),
+    error: float = typer.Option(0.01, "--error", min=1e-4, max=1.0, help="Relative error of the image that is wanted."),
+    triangles: int = typer.Option(5120, "--triangles", min=20, help="Triangles of the body."),
+    resolution: int = typer.Option(64, "--resolution", min=1, help="Pixels on a side."),
+    radius: float = typer.Option(
+        0.05, "--radius", min=1e-4, help="Radius of the light that volpath is extrapolated to."
+    ),
+    radii: list[float] = typer.Option(
+        [0.8, 0.4, 0.2], "--volpath-radius", help="Radius that volpath renders; repeatable."
+    ),
+    seconds: float = typer.Option(60.0, "--seconds", min=0.0, help="Time for which volpath renders each light."),
+    variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
+):
+    """Measure the time to an error of the image under area and environment lights, against volpath."""
+    if len(set(radii)) < 2:
+        raise typer.BadParameter("two radii or more are needed to extrapolate from", param_hint="--volpath-radius")
+    variant = measurable(variant, directory)
+    require_matplotlib()
+    shown = table("light", "method", "samples", "wall s", "error", f"s to {error:.2g}", "times faster")
+
+    def add(row):
+        time_to = "" if row["seconds_to_error"] is None else f"{row['seconds_to_error']:.3g}"
+        shown.add_row(
+            row["light"] if row["radius"] is None else f"{row['light']} {row['radius']:g}", row["method"],
+            "" if row["samples"] is None else str(row["samples"]),
+            "" if row["wall_seconds"] is None else f"{row['wall_seconds']:.2f}",
+            "" if row["relmse"] is None else f"{row['relmse'] ** 0.5:.2g}",
+            time_to + (" (extrapolated)" if row["extrapolated"] else ""),
+            f"{row['speedup']:.3g}" if "speedup" in row else "",
+        )  # fmt: skip
+        err.print(f"{row['light']} {row['radius'] or ''} {row['method']} done")
+
+    setup = equal_error_runs.Setup(variant=variant, error=error, triangles=triangles, resolution=resolution, radius=radius,
+                                   radii=tuple(radii), seconds=seconds)  # fmt: skip
+    rows = equal_error_runs.run(setup, add)
+    out.print(shown)
+    picture = directory / "equal_error.png"
+    output.write_file(picture, lambda unfinished: equal_error_runs.plot(rows, unfinished))
+    out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)
