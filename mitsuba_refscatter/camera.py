@@ -94,6 +94,7 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     # The region that the boundary says is around; another one is a slip through an edge, or bodies that touch.
     here = scene.near(target, leaving, boundary)
     other = boundary & (here != legs.region)
+    dr.eval(pi, target, hit, boundary, mirror, leaving, here, other)  # the rays are traced once
     _refuse_overlaps(scene, legs, pi.t, target, other)
     if first:
         _refuse_other_medium(scene, legs, target, other & ~leaving)
@@ -114,7 +115,7 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     arriving = Legs(
         **{**legs.__dict__, "weight": legs.weight * after * dr.exp(-sigma_t * dr.select(within, length, 0))}
     )
-    dr.eval(arriving, hit, boundary, mirror, leaving, legs.weight, legs.region, pi, target)  # the ray is traced once
+    dr.eval(arriving, legs.weight, legs.region)
 
     for region in scene.regions:
         if region.scatters:

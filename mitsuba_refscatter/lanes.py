@@ -7,20 +7,27 @@ import numpy as np
 NONE = 0xFFFFFFFF
 """An index that means none."""
 
+ALIGNMENT = 64
+"""Bytes to which Dr.Jit aligns arrays of its own."""
+
 
 def array(kind, values):
     """Numbers (a list or NumPy array) as a Dr.Jit array with memory of its own.
 
     ``kind(values)`` may share NumPy's, at any alignment, and takes a single number for a constant: in both cases other
-    values mean other kernels.
+    values mean other kernels. So the copy is made from an aligned one.
     """
     values = np.asarray(values)
     if values.size == 0:
         return kind()
     if values.size == 1:
         return dr.opaque(kind, values.item())
+    room = np.empty(values.nbytes + ALIGNMENT, dtype=np.uint8)
+    start = -room.ctypes.data % ALIGNMENT
+    aligned = room[start : start + values.nbytes].view(values.dtype)
+    aligned[:] = values
     out = dr.empty(kind, len(values))
-    dr.scatter(out, kind(values), dr.arange(mi.UInt32, len(values)))
+    dr.scatter(out, kind(aligned), dr.arange(mi.UInt32, len(values)))
     dr.eval(out)
     return out
 
