@@ -121,7 +121,7 @@ def equal_error(
             row["light"] if row["radius"] is None else f"{row['light']} {row['radius']:g}", row["method"],
             "" if row["samples"] is None else str(row["samples"]),
             "" if row["wall_seconds"] is None else f"{row['wall_seconds']:.2f}",
-            "" if row["relmse"] is None else f"{row['relmse'] ** 0.5:.2g}",
+            "" if row["mean_relative_error"] is None else f"{row['mean_relative_error']:.2g}",
             time_to + (" (extrapolated)" if row["extrapolated"] else ""),
             f"{row['speedup']:.3g}" if "speedup" in row else "",
         )  # fmt: skip

@@ -86,7 +86,7 @@ def test_a_simple_scene_pays_nothing_for_a_rich_one(tmp_path):
     assert all_of_it.count(CALL) > 0 and all_of_it.shadow_rays > 0
     assert before.count(CALL) == 0 and before.shadow_rays == 0
     assert before.count(NEAREST_HIT) == 2  # to the body, and in it
-    assert len(all_of_it.hashes) > 2 * len(before.hashes)
+    assert not all_of_it.hashes <= before.hashes
 
 
 def test_a_convex_body_traces_no_inner_shadow_rays(tmp_path):

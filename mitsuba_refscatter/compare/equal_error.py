@@ -1,11 +1,11 @@
 """``refscatter equal-error``: time to a given error of the image for lights that are neither points nor directions.
 
 The body of ``bumpy_sphere`` and its view, lit by a sphere of several radii in place of the point light, all of the same
-power, and by the environment map of ``amber``. Error of an image: the square root of its variance over the pixels plus
-that of its bias, relative to the image, sqrt(sum (a - b)^2 / sum b^2). Variances are those between renders with different
-seeds. ``volpath``, restricted to the same light paths, has an error that falls with the square root of its samples,
-so its time is computed from a few renders that are much too noisy; below the radii at which these tell its error it is
-extrapolated by a power law in the radius. Ours is rendered until the error is reached.
+power, and by the environment map of ``amber``. Error of an image: the relative L1 difference sum|a - b| / sum b to its mean
+over many seeds, plus its bias. Ours is rendered with more and more samples until the error is reached. ``volpath``,
+restricted to the same light paths, would take days: its error falls with the square root of its samples, and once pixels hold
+many paths it is sqrt(2 / pi) times the standard deviation. So its time is computed from the variance of each pixel between
+shorter renders; where these tell too little, at small radii, it is extrapolated by a power law in the radius.
 """
 
 import math
@@ -24,6 +24,8 @@ DEPTH = 4
 BIAS_TOLERANCE = 1e-4
 """Tolerance of the image that ours is compared with, at the same light points, to tell its bias."""
 MOST_SAMPLES = 1 << 14
+SAMPLER = "multijitter"
+"""Of both: stratified in the pixels."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,7 @@ class _Scenes:
         path, self.triangles = scene_files.write_scene(BODY, directory / BODY, setup.triangles)
         scene_files.write_scene(STUDIO_SCENE, directory / STUDIO_SCENE, 20)
         self._studio = directory / STUDIO_SCENE / scene_files.STUDIO
+        path.write_text(path.read_text().replace('sampler type="independent"', f'sampler type="{SAMPLER}"'))
         base, clear = (mi.load_file(str(path), optimize=False, res=str(setup.resolution)) for _ in range(2))
         self._sensor, point = base.sensors()[0], mi.traverse(base.emitters()[0])
         self._position, self._intensity = (np.array(point[key]).ravel() for key in ("position", "intensity.value"))
@@ -117,9 +120,13 @@ def _image(scene, seed, samples):
     return image, time.perf_counter() - start
 
 
-def _error2(images, truth):
-    """Square of the error of one of several images: their variance."""
-    return float(images.var(axis=0, ddof=1).sum() / (truth**2).sum())
+def _spread(images):
+    """Mean relative L1 difference of each image from the mean of the others, but for the noise of that mean."""
+    import numpy as np
+
+    n = len(images)
+    others = (images.sum(axis=0) - images) / (n - 1)
+    return float(np.abs(images - others).sum() / images.sum() * ((n - 1) / n) ** 0.5)
 
 
 def _volpath(setup, scenes, radius, truth):
@@ -137,11 +144,11 @@ def _volpath(setup, scenes, radius, truth):
         images.append(image - _image(clear, 1 + len(images), setup.samples)[0])
         times.append(seconds)
     images, seconds = np.array(images), statistics.median(times)
-    error2 = _error2(images, truth)
+    error = float((2 / np.pi) ** 0.5 * images.std(axis=0, ddof=1).sum() / truth.sum())
     means = images.mean(axis=(1, 2, 3))
     deviation = (means.mean() - truth.mean()) / (means.std(ddof=1) / len(means) ** 0.5)
-    return dict(samples=setup.samples, wall_seconds=seconds, relmse=error2, bias=float(means.mean() / truth.mean() - 1),
-                bias_in_standard_errors=float(deviation), seconds_to_error=seconds * error2 / setup.error**2,
+    return dict(samples=setup.samples, wall_seconds=seconds, mean_relative_error=error, bias=float(means.mean() / truth.mean() - 1),
+                bias_in_standard_errors=float(deviation), seconds_to_error=seconds * (error / setup.error) ** 2,
                 extrapolated=False)  # fmt: skip
 
 
@@ -166,19 +173,19 @@ def _refscatter(setup, scenes, radius):
 
     usual, exact = scene(), scene(tolerance=BIAS_TOLERANCE)
     pairs = [[_image(s, 0, 1)[0] for s in (usual, exact)] for _ in range(2)][-1]
-    bias2 = float(((pairs[0] - pairs[1]) ** 2).sum() / (pairs[1] ** 2).sum())
+    bias = float(np.abs(pairs[0] - pairs[1]).sum() / pairs[1].sum())
     samples = 1
     while True:
         images, times = zip(*(_image(usual, 1 + k, samples) for k in range(setup.replicates)))
         images = np.array(images)
-        error2 = _error2(images, images.mean(axis=0)) + bias2
-        if error2 <= setup.error**2 or samples >= MOST_SAMPLES:
+        error = _spread(images) + bias
+        if error <= setup.error or samples >= MOST_SAMPLES:
             break
         samples *= 4
     seconds = statistics.median(times)
     return images.mean(axis=0), dict(
-        samples=samples, wall_seconds=seconds, relmse=error2, bias=float(pairs[0].sum() / pairs[1].sum() - 1),
-        seconds_to_error=seconds if error2 <= setup.error**2 else None, extrapolated=False,
+        samples=samples, wall_seconds=seconds, mean_relative_error=error, bias=float(pairs[0].sum() / pairs[1].sum() - 1),
+        seconds_to_error=seconds if error <= setup.error else None, extrapolated=False,
     )  # fmt: skip
 
 

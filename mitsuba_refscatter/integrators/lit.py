@@ -32,7 +32,7 @@ class Prepared:
             )
         self.estimator, self.culling, self.light_samples = ESTIMATORS[opt.estimator], opt.culling, opt.light_samples
         self.counts = wavefront.Counts()
-        self._lit, self._clearances, self._spindles, self._start, self._panels = {}, {}, {}, {}, {}
+        self._lit, self._clearances, self._spindles, self._start, self._panels, self._pools = {}, {}, {}, {}, {}, {}
 
     def start(self, medium, ray):
         """Index of the region in which camera rays start."""
@@ -42,6 +42,10 @@ class Prepared:
     def angle_panels(self, region):
         """``straight.angle_panels`` of a region's phase function."""
         return _once(self._panels, region.index, lambda: straight.angle_panels(region.phase, self.accuracy))
+
+    def pools(self, seed):
+        """``lights.Pools``, which go on from pass to pass; the first pass's ``seed`` decides."""
+        return _once(self._pools, None, lambda: light_points.Pools(self.scene.lights, seed))
 
     @property
     def draws(self):
@@ -111,14 +115,12 @@ def turns(prepared, n, wavelengths, seed):
     if not prepared.draws:
         return out
     if prepared.culling == "beams":
-        pool = light_points.pool(lights, prepared.light_samples, seed)
+        pool = prepared.pools(seed).next(prepared.light_samples)
+        # Each ``count`` consecutive samples have all points, from a random one on: those of a pixel then have consecutive
+        # ones, which are spread well, and other ones than those of its neighbours.
         count, lane = dr.opaque(mi.UInt32, len(pool)), dr.arange(mi.UInt32, n)
-        # Neighbours have different points: each of ``count`` consecutive samples has its own, in random order.
-        turn = (
-            mi.permute_kensler(lane % count, len(pool), dr.opaque(mi.UInt32, seed & 0xFFFFFFFF) + lane // count)
-            if len(pool) > 1
-            else 0 * lane
-        )
+        first = mi.sample_tea_32(lane // count, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF))[0]
+        turn = (lane + first % count) % count
         dr.eval(turn)
         for k, (light, one) in enumerate(pool):
             dr.eval(one.L, one.normal)

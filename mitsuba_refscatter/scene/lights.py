@@ -17,6 +17,12 @@ from .errors import SceneError, describe, name_shape
 from .media import visible
 from .support import CONVEX_EMITTERS, DELTA_EMITTERS, refusal
 
+GOLDEN = 0.6180339887498949
+"""Inverse of the golden ratio: its multiples are low-discrepancy in one dimension."""
+
+PLASTIC = (0.7548776662466927, 0.5698402909980532)
+"""First and second power of the inverse of the plastic number."""
+
 
 @dataclass
 class LightPoint:
@@ -197,22 +203,34 @@ def _share_out(drawn, bodies):
         light.fluence = float(x)
 
 
-def pool(lights, n, seed):
-    """``n`` light points (one each) of the lights that must be drawn, spread evenly over them (a list; empty if there are
-    none). A camera sample that takes any one of them, all alike, has all of their light in the mean."""
-    drawn = [light for light in lights if light.exact is None]
-    if not drawn:
-        return []
-    rng = np.random.default_rng(seed)
-    start, shift = rng.random(), rng.random(2)
-    ends = np.cumsum([light.fluence for light in drawn])
-    chosen = np.minimum(np.searchsorted(ends, (np.arange(n) + start) / n, side="right"), len(drawn) - 1)
-    # R2: multiples of powers of the plastic number, low-discrepancy in two dimensions (Roberts 2018).
-    u = (shift + np.outer(np.arange(n), [0.7548776662466927, 0.5698402909980532])) % 1
-    return [
-        (drawn[k], drawn[k].draw(dr.opaque(mi.Point2f, [float(x) for x in point]), drawn[k].fluence))
-        for k, point in zip(chosen, u)
-    ]
+class Pools:
+    """Pools of light points, one after the other, of the lights that must be drawn.
+
+    Those of all pools together are evenly spread over each light, and over the lights by their shares. A camera sample that
+    takes any point of a pool, all alike, has all of their light in the mean. ``seed``: turns all pools together.
+    """
+
+    def __init__(self, lights, seed):
+        self.lights, rng = [light for light in lights if light.exact is None], np.random.default_rng(seed)
+        self.ends = np.cumsum([light.fluence for light in self.lights])
+        self.start, self.shift = rng.random(), rng.random((len(self.lights), 2))
+        self.used = np.zeros(len(self.lights), dtype=np.int64)
+
+    def next(self, n):
+        """List of ``n`` pairs (``Light``, ``LightPoint``), or of none if no light must be drawn."""
+        if not self.lights:
+            return []
+        chosen = np.searchsorted(self.ends, (np.arange(n) + self.start) / n, side="right")
+        chosen = np.minimum(chosen, len(self.lights) - 1)
+        self.start = (self.start + GOLDEN) % 1
+        out = []
+        for k in chosen:
+            # R2: multiples of powers of the plastic number, low-discrepancy in two dimensions (Roberts 2018).
+            u = (self.shift[k] + self.used[k] * np.array(PLASTIC)) % 1
+            self.used[k] += 1
+            light = self.lights[k]
+            out.append((light, light.draw(dr.opaque(mi.Point2f, u.tolist()), light.fluence)))
+        return out
 
 
 def one_each(lights, n, seed):
