@@ -98,7 +98,7 @@ def equal_error(
     directory: Path = typer.Option(..., "-o", "--output", help="Directory for equal_error.png and results.json."),
     error: float = typer.Option(0.01, "--error", min=1e-4, max=1.0, help="Relative error of the image that is wanted."),
     triangles: int = typer.Option(5120, "--triangles", min=20, help="Triangles of the body."),
-    resolution: int = typer.Option(64, "--resolution", min=1, help="Pixels on a side."),
+    resolution: int = typer.Option(128, "--resolution", min=1, help="Pixels on a side."),
     radius: float = typer.Option(
         0.05, "--radius", min=1e-4, help="Radius of the light that volpath is extrapolated to."
     ),

@@ -23,7 +23,10 @@ DEPTH = 4
 """``max_depth`` of ``volpath``: camera, into the body, scattering, out of the body, light."""
 BIAS_TOLERANCE = 1e-4
 """Tolerance of the image that ours is compared with, at the same light points, to tell its bias."""
-MOST_SAMPLES = 1 << 14
+SAMPLES = [k * k for k in (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)]
+"""Samples per pixel of ours: squares, as the sampler wants them."""
+OURS = {"surfaces": False, "internal_bounces": 0}
+"""The light paths that ``volpath`` with ``DEPTH`` has."""
 SAMPLER = "multijitter"
 """Of both: stratified in the pixels."""
 
@@ -35,13 +38,13 @@ class Setup:
 
     variant: str
     triangles: int = 5120
-    resolution: int = 64
+    resolution: int = 128
     error: float = 0.01
     tolerance: float = 0.01
     radii: tuple = (0.8, 0.4, 0.2)
     radius: float = 0.05
     seconds: float = 60.0
-    replicates: int = 6
+    replicates: int = 4
     samples: int = 64
 
 
@@ -63,13 +66,12 @@ def run(setup, report=lambda row: None):
 
     with tempfile.TemporaryDirectory() as directory:
         scenes = _Scenes(setup, Path(directory))
-        for radius in (*sorted({*setup.radii, setup.radius}, reverse=True), None):
-            truth, ours = _refscatter(setup, scenes, radius)
-            if radius is None or radius in setup.radii:
-                theirs = _volpath(setup, scenes, radius, truth)
-            else:
-                theirs = _extrapolated(rows, radius)
+        for radius in sorted(setup.radii, reverse=True):
+            add(_row(setup, scenes, "volpath", radius, **_volpath(setup, scenes, radius)))
+        for radius in (setup.radius, None):
+            theirs = _volpath(setup, scenes, radius) if radius is None else _extrapolated(rows, radius)
             add(_row(setup, scenes, "volpath", radius, **theirs))
+            ours = _refscatter(setup, scenes, radius)
             if ours["seconds_to_error"] is not None:
                 ours["speedup"] = theirs["seconds_to_error"] / ours["seconds_to_error"]
             add(_row(setup, scenes, "refscatter", radius, **ours))
@@ -110,6 +112,9 @@ class _Scenes:
         parts = {"type": "scene", "integrator": integrator, "sensor": self._sensor}
         return mi.load_dict({**parts, "body": self._bodies[not scatters], "light": self.light(radius)}, optimize=False)
 
+    def ours(self, setup, radius, **options):
+        return self.load(radius, {"type": "refscatter", **OURS, "tolerance": setup.tolerance, **options})
+
 
 def _image(scene, seed, samples):
     """Image (H, W, 3) in float64, and the seconds that it took."""
@@ -129,9 +134,9 @@ def _spread(images):
     return float(np.abs(images - others).sum() / images.sum() * ((n - 1) / n) ** 0.5)
 
 
-def _volpath(setup, scenes, radius, truth):
+def _volpath(setup, scenes, radius):
     """Error and time of ``volpath``. Its unscattered light is subtracted with the same seeds, where it is the same; only the
-    render with scattering is timed."""
+    render with scattering is timed. ``bias``: of the image means, against ours, and that in standard errors."""
     import numpy as np
 
     integrator = {"type": "volpath", "max_depth": DEPTH, "rr_depth": 1000}
@@ -140,16 +145,21 @@ def _volpath(setup, scenes, radius, truth):
         _image(warm_up, 0, setup.samples)
     images, times, start = [], [], time.perf_counter()
     while len(images) < 8 or time.perf_counter() - start < setup.seconds:
-        image, seconds = _image(scene, 1 + len(images), setup.samples)
-        images.append(image - _image(clear, 1 + len(images), setup.samples)[0])
+        seed = 1 + len(images)
+        image, seconds = _image(scene, seed, setup.samples)
+        images.append(image - _image(clear, seed, setup.samples)[0])
         times.append(seconds)
     images, seconds = np.array(images), statistics.median(times)
-    error = float((2 / np.pi) ** 0.5 * images.std(axis=0, ddof=1).sum() / truth.sum())
+    ours = scenes.ours(setup, radius)
+    truth = np.array([_image(ours, 1 + k, SAMPLES[0])[0].mean() for k in range(setup.replicates)])
     means = images.mean(axis=(1, 2, 3))
-    deviation = (means.mean() - truth.mean()) / (means.std(ddof=1) / len(means) ** 0.5)
-    return dict(samples=setup.samples, wall_seconds=seconds, mean_relative_error=error, bias=float(means.mean() / truth.mean() - 1),
-                bias_in_standard_errors=float(deviation), seconds_to_error=seconds * (error / setup.error) ** 2,
-                extrapolated=False)  # fmt: skip
+    noise = (means.var(ddof=1) / len(means) + truth.var(ddof=1) / len(truth)) ** 0.5
+    error = float((2 / np.pi) ** 0.5 * images.std(axis=0, ddof=1).mean() / truth.mean())
+    return dict(
+        samples=setup.samples, wall_seconds=seconds, mean_relative_error=error, bias=float(means.mean() / truth.mean() - 1),
+        bias_in_standard_errors=float((means.mean() - truth.mean()) / noise),
+        seconds_to_error=seconds * (error / setup.error) ** 2, extrapolated=False,
+    )  # fmt: skip
 
 
 def _extrapolated(rows, radius):
@@ -164,33 +174,27 @@ def _extrapolated(rows, radius):
 
 
 def _refscatter(setup, scenes, radius):
-    """Error and time of ours, with four times the samples until the error is reached; and its mean image."""
+    """Error and time of ours, with more and more samples until the error is reached."""
     import numpy as np
 
-    def scene(**options):
-        fixed = {"surfaces": False, "internal_bounces": 0, "tolerance": setup.tolerance}
-        return scenes.load(radius, {"type": "refscatter", **fixed, **options})
-
-    usual, exact = scene(), scene(tolerance=BIAS_TOLERANCE)
-    pairs = [[_image(s, 0, 1)[0] for s in (usual, exact)] for _ in range(2)][-1]
-    bias = float(np.abs(pairs[0] - pairs[1]).sum() / pairs[1].sum())
-    samples = 1
-    while True:
+    usual, exact = scenes.ours(setup, radius), scenes.ours(setup, radius, tolerance=BIAS_TOLERANCE)
+    for _ in range(2):  # the first compiles
+        a, b = (_image(scene, 0, 1)[0] for scene in (usual, exact))
+    bias = float(np.abs(a - b).sum() / b.sum())
+    for samples in SAMPLES:
         images, times = zip(*(_image(usual, 1 + k, samples) for k in range(setup.replicates)))
-        images = np.array(images)
-        error = _spread(images) + bias
-        if error <= setup.error or samples >= MOST_SAMPLES:
+        error = _spread(np.array(images)) + bias
+        if error <= setup.error:
             break
-        samples *= 4
     seconds = statistics.median(times)
-    return images.mean(axis=0), dict(
-        samples=samples, wall_seconds=seconds, mean_relative_error=error, bias=float(pairs[0].sum() / pairs[1].sum() - 1),
+    return dict(
+        samples=samples, wall_seconds=seconds, mean_relative_error=error, bias=float(a.sum() / b.sum() - 1),
         seconds_to_error=seconds if error <= setup.error else None, extrapolated=False,
     )  # fmt: skip
 
 
 def _row(setup, scenes, method, radius, **measured):
-    settings = {"resolution": setup.resolution, "tolerance": setup.tolerance}
+    settings = {**OURS, "resolution": setup.resolution, "tolerance": setup.tolerance}
     return {
         **results.row(scene=BODY, method=method, variant=setup.variant, triangles=scenes.triangles,
                       settings=settings if method == "refscatter" else {"max_depth": DEPTH, "resolution": setup.resolution}),
