@@ -14,10 +14,10 @@ render: $(VENV)/.package llvm
 	$(BIN)/refscatter render $(SCENE) -o $(PICTURE)
 
 test: $(VENV)/.test llvm
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2
 
 test-all: $(VENV)/.test llvm
-	$(BIN)/python -m pytest -m ""
+	$(BIN)/python -m pytest -n 2 -m ""
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

@@ -223,3 +223,44 @@ def test_convergence_draws_a_plot(tmp_path):
     picture = np.array(mi.Bitmap(str(tmp_path / "convergence.png")))
     assert picture.shape[1] > 300 and picture.std() > 5
     assert sorted(p.name for p in tmp_path.iterdir()) == ["convergence.png", "results.json"]
+
+
+@needs_variant
+def test_equal_error_measures_and_extrapolates(tmp_path):
+    """A tiny run through the command: the rows, the power law, the picture."""
+    sizes = (
+        "--resolution",
+        8,
+        "--triangles",
+        80,
+        "--seconds",
+        0,
+        "--error",
+        0.5,
+        "--volpath-radius",
+        0.8,
+        "--volpath-radius",
+        0.4,
+    )
+    done = refscatter("equal-error", *sizes, "--radius", 0.2, "-o", tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "results.json").read_text())["rows"]
+    assert [(row["method"], row["radius"], row["extrapolated"]) for row in rows] == [
+        ("volpath", 0.8, False), ("volpath", 0.4, False), ("volpath", 0.2, True), ("refscatter", 0.2, False),
+        ("volpath", None, False), ("refscatter", None, False),
+    ]  # fmt: skip
+    large, middle, small, ours = (row["seconds_to_error"] for row in rows[:4])
+    assert small == pytest.approx(middle**2 / large, rel=1e-6)  # the same factor again
+    assert rows[3]["mean_relative_error"] <= 0.5 and rows[3]["speedup"] == pytest.approx(small / ours)
+    assert "extrapolated" in done.stdout
+    assert np.array(mi.Bitmap(str(tmp_path / "equal_error.png"))).std() > 5
+
+
+def test_equal_error_needs_two_radii(tmp_path):
+    done = refscatter("equal-error", "-o", tmp_path, "--volpath-radius", 0.4)
+    assert done.returncode == 2 and "two radii" in done.stderr
+
+
+def test_supported_prints_the_table():
+    done = refscatter("supported")
+    assert done.returncode == 0 and "| `directional` |" in done.stdout and "no: " in done.stdout

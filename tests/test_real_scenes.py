@@ -71,7 +71,8 @@ LIGHTS = {
     "sphere": Case(lambda: {"light": ball_light(radius=0.3), "body": cube()}, options=OWN),
     "rectangle": Case(lambda: {"light": panel("rectangle"), "body": cube()}, options=OWN),
     "disk": Case(lambda: {"light": panel("disk"), "body": cube()}, options=OWN),
-    "cylinder": Case(lambda: {"light": panel("cylinder", ("scale", 0.4)), "body": cube()}, options=OWN),
+    "cylinder": Case(lambda: {"light": panel("cylinder", ("scale", 0.4)), "body": cube()}, options=OWN,
+                     ours=(16, 64), theirs=(32, 256)),
     "mesh": Case(lambda: {"light": panel("cube", ("scale", 0.4), radiance=4.0), "body": cube()}, options=OWN),
     "constant": Case(lambda: {"light": {"type": "constant", "radiance": colour(1, 2, 3)}, "body": cube()}, options=OWN),
     "envmap": Case(lambda: {"light": sky(), "body": cube()}, options=OWN),
@@ -95,7 +96,16 @@ def water(eta, size=40.0):
             "interior": WITHIN}  # fmt: skip
 
 
-DENSE = lambda: medium(scale=2.0)  # noqa: E731
+def endless(scale=1.0):
+    """A medium without end. volpath draws distances for one colour and weighs the others by it: the variance of a colour
+    whose extinction is less than half of another's is infinite."""
+    return medium(sigma_t=(0.5, 0.6, 0.8), scale=scale)
+
+
+def dense():
+    return endless(2.0)
+
+
 BOUNDARIES = {
     "eta above 1": Case(lambda: {"light": ball_light(), "body": cube(glass(1.5))}, depth=4, options=OWN, **SLOW),
     "eta below 1": Case(lambda: {"light": ball_light(), "body": cube(glass(0.8))}, depth=4, options=OWN, **SLOW),
@@ -107,11 +117,11 @@ BOUNDARIES = {
     "two straight ones": Case(lambda: {"light": point_light((0.4, 5, 0.2)), "body": cube(),
                                        "lid": empty({"type": "thindielectric"}, ("translate", [0, 2.6, 0]))}),
     "open water": Case(lambda: {"light": ball_light((0.5, 1.6, 0.3), 0.6), "body": water(1.33),
-                                "sensor": camera((0, 2, 3), fov=40)}, depth=4, medium=DENSE, options=OWN, **SLOW),
+                                "sensor": camera((0, 2, 3), fov=40)}, depth=4, medium=dense, options=OWN, **SLOW),
     "sphere": Case(lambda: {"light": ball_light(), "body": {**cube(glass(1.3)), "type": "sphere"}}, depth=4, options=OWN, **SLOW),
     "sphere of air in medium": Case(
         lambda: {"light": point_light((0.2, 2.6, 1.5)), "sensor": camera(medium=WITHIN),
-                 "body": {"type": "sphere", "bsdf": {"type": "null"}, "exterior": WITHIN}}),
+                 "body": {"type": "sphere", "bsdf": {"type": "null"}, "exterior": WITHIN}}, medium=endless),
     "closed cylinder": Case(
         lambda: {"light": ball_light(), "side": {**cube(glass(1.3), ("scale", [1, 1, 0.8])), "type": "cylinder"},
                  "front": {**cube(glass(1.3), ("scale", [1, 1, 0.8]), ("translate", [0, 0, 1])), "type": "disk"},
@@ -124,16 +134,17 @@ PLACES = {
                                    "sensor": camera((0, 0.2, 0.9), fov=60, medium=WITHIN)}, depth=3, options=OWN, **SLOW),
     "camera under water": Case(lambda: {"light": ball_light((0.5, 1.6, 0.3), 0.6), "body": water(1.33),
                                         "sensor": camera((0, -1, 3), (0, -0.5, 0), fov=40, medium=WITHIN)},
-                               depth=3, medium=DENSE, options=OWN, ours=(8, 64), theirs=(24, 512)),
+                               depth=3, medium=dense, options=OWN, ours=(8, 64), theirs=(24, 512)),
     "light inside": Case(lambda: {"light": ball_light((0.2, 0.1, 0), 0.3), "body": cube(glass(1.3))},
                          depth=3, options=OWN, ours=(12, 256), theirs=(24, 64)),
     "both inside": Case(lambda: {"light": point_light((0.2, 0.1, 0)), "body": cube(glass(1.3)),
                                  "sensor": camera((0, 0.2, 0.9), fov=60, medium=WITHIN)}, theirs=(24, 512)),
-    "no boundary": Case(lambda: {"light": point_light((0.2, 2.6, 1.5)), "sensor": camera(medium=WITHIN)}, theirs=(24, 512)),
+    "no boundary": Case(lambda: {"light": point_light((0.2, 2.6, 1.5)), "sensor": camera(medium=WITHIN)}, medium=endless,
+                        theirs=(24, 512)),
     "light in a bubble": Case(
-        lambda: {"light": ball_light((0, 0, 0), 0.5), "sensor": camera((0, 2, 5), (0, 3.6, 0), fov=40, medium=WITHIN),
+        lambda: {"light": ball_light((0, 0, 0), 0.8), "sensor": camera((0, 2, 5), (0, 3.6, 0), fov=40, medium=WITHIN),
                  "body": empty(glass(0.9), exterior=WITHIN)},
-        depth=3, options=OWN, **SLOW),
+        depth=3, medium=endless, options=OWN, **SLOW),
     "bubble in glass": Case(
         lambda: {"light": ball_light(), "body": cube(glass(1.3)),
                  "bubble": empty(glass(1 / 1.3), ("translate", [0.1, -0.2, 0.2]), ("scale", 0.4), exterior=WITHIN)},

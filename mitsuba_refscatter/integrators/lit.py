@@ -32,20 +32,26 @@ class Prepared:
             )
         self.estimator, self.culling, self.light_samples = ESTIMATORS[opt.estimator], opt.culling, opt.light_samples
         self.counts = wavefront.Counts()
-        self._lit, self._clearances, self._spindles, self._start, self._panels, self._pools = {}, {}, {}, {}, {}, {}
+        self._made = {}
+
+    def _once(self, make, *key):
+        """What ``make()`` makes at the first use of ``key``."""
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
 
     def start(self, medium, ray):
         """Index of the region in which camera rays start."""
         origin = np.array(dr.gather(mi.Point3f, mi.Point3f(ray.o), mi.UInt32(0))).ravel()
-        return _once(self._start, None, lambda: region_of_camera(self.scene, medium, origin))
+        return self._once(lambda: region_of_camera(self.scene, medium, origin), "start")
 
     def angle_panels(self, region):
         """``straight.angle_panels`` of a region's phase function."""
-        return _once(self._panels, region.index, lambda: straight.angle_panels(region.phase, self.accuracy))
+        return self._once(lambda: straight.angle_panels(region.phase, self.accuracy), "panels", region.index)
 
     def pools(self, seed):
         """``lights.Pools``, which go on from pass to pass; the first pass's ``seed`` decides."""
-        return _once(self._pools, None, lambda: light_points.Pools(self.scene.lights, seed))
+        return self._once(lambda: light_points.Pools(self.scene.lights, seed), "pools")
 
     @property
     def draws(self):
@@ -66,7 +72,7 @@ class Prepared:
             shadows = visibility.Shadows(self.scene, body, source, light_point.shape, in_air)
             return shadows, self._culling(body, source, shadows)
 
-        shadows, culling = make() if key is None else _once(self._lit, (body.first_record, key), make)
+        shadows, culling = make() if key is None else self._once(make, "lit", body.first_record, key)
         emission = light_point.emission(centre, wavelengths)
         if in_air:
             emission = Arrival(emission, source, Air(self.scene, wavelengths), body)
@@ -76,21 +82,13 @@ class Prepared:
     def _culling(self, body, source, shadows):
         records = self.scene.records
         if self.culling == "spindle":
-            return _once(self._spindles, body.first_record, lambda: Spindle(body, records))
+            return self._once(lambda: Spindle(body, records), "spindle", body.first_record)
         clear = None
         if shadows.may_prove_inside:
             corners = body.corners - body.centre
-            clear = _once(
-                self._clearances, body.first_record, lambda: Clearance(records, body.first_record, corners)
-            ).clear
+            first = body.first_record
+            clear = self._once(lambda: Clearance(records, first, corners), "clearance", first).clear
         return light_beams.build(body, records, source, self.accuracy.bend, shadows.seen, clear)
-
-
-def _once(known, key, make):
-    """``known[key]``, made at first use."""
-    if key not in known:
-        known[key] = make()
-    return known[key]
 
 
 @dataclass

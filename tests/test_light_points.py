@@ -1,0 +1,96 @@
+"""The light points that are drawn of areas and environments: evenly, all of them, others for neighbours and passes."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from against_volpath import WITHIN, colour, medium, to
+from build import point_light
+
+from mitsuba_refscatter import options
+from mitsuba_refscatter.integrators import lit
+from mitsuba_refscatter.scene import lights as light_points
+
+pytestmark = pytest.mark.usefixtures("rgb")
+
+
+@pytest.fixture
+def prepared(rgb):
+    """A box of fog below two panels, the second of three times the power, and a lamp."""
+
+    def panel(x, radiance):
+        return {"type": "rectangle", "to_world": to(("translate", [x, 4, 0]), ("rotate", [1, 0, 0], 90)),
+                "emitter": {"type": "area", "radiance": colour(radiance, radiance, radiance)}}  # fmt: skip
+
+    scene = mi.load_dict({
+        "type": "scene", "a_medium": medium(), "a": panel(-2, 1.0), "b": panel(2, 3.0), "lamp": point_light((0, 9, 0)),
+        "body": {"type": "cube", "bsdf": {"type": "null"}, "interior": WITHIN},
+    })  # fmt: skip
+    return lit.Prepared(scene, options.Options(light_samples=8))
+
+
+def place(point):
+    return np.array(point.L).ravel()
+
+
+def test_pools_share_the_lights_by_their_power(prepared):
+    """Each pool, to less than one point; all light points of a panel together fill it evenly."""
+    pools = light_points.Pools(prepared.scene.lights, seed=1)
+    drawn = [light for light in prepared.scene.lights if light.exact is None]
+    assert len(drawn) == 2 and sum(light.fluence for light in drawn) == pytest.approx(1)
+    few, many = sorted(light.fluence for light in drawn)
+    assert 2 < many / few < 3.5  # a tenth of the points is shared out evenly
+    where = {light.name: [] for light in drawn}
+    for _ in range(32):
+        pool = pools.next(8)
+        for light in drawn:
+            mine = [place(point) for other, point in pool if other is light]
+            assert abs(len(mine) - 8 * light.fluence) < 1
+            where[light.name] += mine
+    for points in map(np.array, where.values()):
+        u = points[:, [0, 2]] - [np.round(points[:, 0].mean()), 0]  # in [-1, 1]
+        cells = np.histogram2d(*u.T, bins=4, range=[[-1, 1]] * 2)[0]
+        # 16 cells; random points would miss by a fourth of their expectation or more in one of them.
+        assert np.abs(cells / (len(points) / 16) - 1).max() < 0.3
+        assert np.abs((u**2).mean(axis=0) - 1 / 3).max() < 0.015
+
+
+def test_another_pool_for_the_next_pass(prepared):
+    first, second = (prepared.pools(7).next(8) for _ in range(2))
+    places = {tuple(place(point)) for _, point in first + second}
+    assert len(places) == 16
+    again = light_points.Pools(prepared.scene.lights, 7).next(8)
+    assert [tuple(place(p)) for _, p in again] == [tuple(place(p)) for _, p in first]
+
+
+def slots(turns, n):
+    """Which of the turns each camera sample takes part in (n, turns)."""
+    return np.array(
+        [np.ones(n, bool) if t.slot is None else t.slot.numpy() != light_points.lanes.NONE for t in turns]
+    ).T
+
+
+def test_neighbours_take_different_points(prepared):
+    """The lamp is for all; of the pool each eight consecutive samples take each point once, in another order than the next."""
+    n = 8 * 40
+    taken = slots(lit.turns(prepared, n, mi.Color0f(), 3), n)
+    assert taken[:, 0].all() and (taken[:, 1:].sum(axis=1) == 1).all()
+    chosen = taken[:, 1:].argmax(axis=1).reshape(-1, 8)
+    assert (np.sort(chosen, axis=1) == np.arange(8)).all()
+    assert len(np.unique(chosen[:, 0])) == 8
+
+
+def test_each_sample_has_a_point_of_its_own(prepared):
+    prepared.culling, n = "spindle", 1000
+    turns = lit.turns(prepared, n, mi.Color0f(), 3)
+    taken = slots(turns, n)
+    assert taken[:, 0].all() and (taken[:, 1:].sum(axis=1) == 1).all()
+    places = np.concatenate([np.array(turn.point.L).T for turn in turns[1:]])
+    assert len(np.unique(places, axis=0)) == n
+    shares = taken[:, 1:].mean(axis=0)
+    expected = [turn.light.fluence for turn in turns[1:]]
+    assert np.abs(shares - expected).max() < 4 * 0.5 / n**0.5
+    for turn in turns[1:]:
+        slot = turn.slot.numpy()
+        lanes = slot[slot != light_points.lanes.NONE]
+        assert (np.sort(lanes) == np.arange(dr.width(turn.point.L))).all()
