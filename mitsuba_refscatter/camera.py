@@ -71,7 +71,8 @@ def trace(scene, ray, active, start, internal_bounces, surfaces, min_weight):
     # Legs that leave a body may still bring something, if only by entering one again.
     alone = len(scene.bodies) == 1 and scene.bodies[0].convex and scene.mirrors is None
     around = any(body.outside != NONE and scene.regions[body.outside].scatters for body in scene.bodies)
-    again = around or (internal_bounces > 0 and (surfaces or not alone))
+    passing = any(body.eta == 1 for body in scene.bodies)  # such hits don't count
+    again = around or ((internal_bounces > 0 or passing) and (surfaces or not alone))
     first = True
     while len(legs) > 0:
         legs = _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, min_weight)
@@ -169,11 +170,9 @@ def _split(
     through, shift = optics.refract(legs.d, n, cos_t, eta_ti), dr.rcp(dr.square(eta_ti))
     if scene.thin is not None:
         thin = active & dr.gather(mi.Bool, scene.thin, target, active)
-        F, through, shift = (
-            dr.select(thin, optics.twice(F), F),
-            dr.select(thin, legs.d, through),
-            dr.select(thin, 1, shift),
-        )
+        one_side = optics.fresnel(-dr.dot(legs.d, n), eta)[0]  # the same from both sides of the sheet
+        F = dr.select(thin, optics.twice(one_side), F)
+        through, shift = dr.select(thin, legs.d, through), dr.select(thin, 1, shift)
     # Where nothing is reflected the ray does not branch: such hits don't count.
     counts = ~leaving & (eta != 1) if not first else mi.Bool(False)
     entries = legs.entries + dr.select(counts, mi.UInt32(1), mi.UInt32(0))
@@ -225,7 +224,7 @@ def _reflected(scene, legs, ray, pi, mirror, internal_bounces, min_weight, first
     d = si.to_world(drawn.wo)
     legs.weight = legs.weight * value
     legs.entries = legs.entries + mi.UInt32(0 if first else 1)
-    side = dr.copysign(dr.norm(si.p) * tolerances.CAMERA_OFFSET, dr.dot(d, si.n))
+    side = dr.copysign(scene.mirror_extent(pi.shape) * tolerances.CAMERA_OFFSET, dr.dot(d, si.n))
     legs.o, legs.d = mi.Point3f(si.p + si.n * side), mi.Vector3f(d)
     dr.eval(legs)  # the mirrors are asked once
     kept = dr.compress(dr.max(legs.weight) > min_weight)
@@ -244,6 +243,7 @@ def _refuse_other_medium(scene, legs, target, other):
             scene.bodies[hit].name,
             other="the medium that the sensor is in",
             what="another exterior medium or none",
+            side="exterior",
         )
 
 
@@ -258,5 +258,6 @@ def _refuse_overlaps(scene, legs, t, target, other):
     for point, here, hit in zip(middle, *named):
         a = None if here == NONE else scene.regions[here].body
         b = scene.bodies[hit]
-        if a is not None and a is not b and b.closed and holds(a, point) and holds(b, point):
+        nested = a is not None and (scene.encloses(a, b) or scene.encloses(b, a))
+        if a is not None and a is not b and not nested and b.closed and holds(a, point) and holds(b, point):
             raise refusal("overlap", b.name, other=a.name)

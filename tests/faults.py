@@ -47,7 +47,7 @@ class Maker:
     def scene(self, optimize=False, **changes):
         parts = {"integrator": {"type": "refscatter", "surfaces": False}, "sensor": sensor(),
                  "lamp": build.point_light((-3, 3, 0)), "ball": self.ball(), **changes}  # fmt: skip
-        parts = {"type": "scene", **{key: value for key, value in parts.items() if value is not None}}
+        parts = {"type": "scene", **{key: value for key, value in sorted(parts.items()) if value is not None}}
         return mi.load_dict(parts, optimize=optimize)
 
 

@@ -146,6 +146,24 @@ def test_light_that_is_not_finite(make, value):
     refused(lambda: make.scene(lamp=dazzling), '"lamp"', "intensity", "not finite")
 
 
+@pytest.mark.parametrize("kind", ["area", "constant"])
+def test_radiance_that_is_not_finite(make, kind):
+    dazzling = {"type": kind, "radiance": {"type": "rgb", "value": [1.0, float("nan"), 1.0]}}
+    lamp = {"type": "sphere", "center": [-3, 3, 0], "emitter": dazzling} if kind == "area" else dazzling
+    refused(lambda: make.scene(lamp=lamp), '"lamp"', "radiance", "not finite")
+
+
+def test_a_point_light_very_far_away(make):
+    """As far as float32 tells one unit no more, it is a sun."""
+    far = 1e8
+    away, toward = (
+        build.point_light((-far, far, 0), [2 * far**2] * 3),
+        {"type": "directional", "direction": [1, -1, 0]},
+    )
+    sun = {**toward, "irradiance": {"type": "rgb", "value": [1.0] * 3}}
+    np.testing.assert_allclose(*(render(make.scene(lamp=lamp)) for lamp in (away, sun)), rtol=1e-2, atol=1e-6)
+
+
 @pytest.mark.parametrize("target", [(0, 0, -1), (0, 3, 0.4)])
 def test_camera_inside(make, target):
     """Without the medium that it is in."""

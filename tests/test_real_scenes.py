@@ -116,6 +116,10 @@ BOUNDARIES = {
     "thin and tinted": Case(lambda: {"light": sun(), "body": cube({"type": "thindielectric", **TINTED})}),
     "two straight ones": Case(lambda: {"light": point_light((0.4, 5, 0.2)), "body": cube(),
                                        "lid": empty({"type": "thindielectric"}, ("translate", [0, 2.6, 0]))}),
+    "thin from behind": Case(
+        lambda: {"light": point_light(LAMP), "body": cube(), "pane": {
+            "type": "rectangle", "to_world": to(("translate", [0, 0, 3.4]), ("rotate", [0, 1, 0], 125), ("scale", 3)),
+            "bsdf": {"type": "thindielectric", "int_ior": 1.7}}}),
     "open water": Case(lambda: {"light": ball_light((0.5, 1.6, 0.3), 0.6), "body": water(1.33),
                                 "sensor": camera((0, 2, 3), fov=40)}, depth=4, medium=dense, options=OWN, **SLOW),
     "sphere": Case(lambda: {"light": ball_light(), "body": {**cube(glass(1.3)), "type": "sphere"}}, depth=4, options=OWN, **SLOW),
@@ -167,6 +171,12 @@ PLACES = {
         lambda: {"light": ball_light((0, 2.4, 0.6)), "a": cube(glass(1.3), ("translate", [-0.9, 0, 0]), ("scale", 0.8)),
                  "b": cube(glass(1.6), ("translate", [0.9, 0, 0.4]), ("rotate", [0, 1, 0], 30), ("scale", 0.6))},
         depth=4, options=OWN, **SLOW),
+    "one behind the other": Case(
+        lambda: {"light": point_light((0, 2.6, 0.4)), "a": cube({"type": "null"}, ("translate", [0, 0, 1.2]), ("scale", 0.4)),
+                 "b": cube({"type": "null"}, ("translate", [0.1, 0.1, -1]), ("scale", 0.7))}),
+    "standing on another": Case(
+        lambda: {"light": point_light((0.3, 2.9, 0.4)), "a": cube({"type": "null"}, ("translate", [0, -0.5, 0])),
+                 "b": cube({"type": "null"}, ("translate", [0.2, 1.0, 0]), ("scale", 0.5))}, optimize=False),
     "instances": Case(
         lambda: {"light": ball_light((0, 2.4, 0.6)),
                  "group": {"type": "shapegroup", "id": "group", "a": cube(glass(1.3), ("scale", 0.7))},

@@ -25,7 +25,7 @@ class Scene:
     bodies, each in its body's coordinates; ``body_of_shape``, ``eta``, ``first_record``, ``centre``, ``extent``,
     ``inside``, ``outside``: tables for lookups in kernels, as ``index2`` and ``owner`` by region: square of the index of refraction
     relative to the outermost, and the closed body whose inside it is, or NONE; ``thin``, ``straight``: the same where some boundary is, else None;
-    ``others``: the shapes that are no bodies; ``mirrors``: whether some of them are.
+    ``others``: the shapes that are no bodies; ``mirrors``: largest coordinates of those that are mirrors, or None.
     """
 
     mi_scene: object
@@ -68,9 +68,21 @@ class Scene:
         known = region != NONE
         return dr.select(known, dr.gather(mi.Float, self.index2, region, known), 1)
 
+    def encloses(self, outer, inner):
+        """Whether a body is inside another, directly or in one that is."""
+        while inner.outside != NONE and (around := self.regions[inner.outside].body) is not None:
+            if around is outer:
+                return True
+            inner = around
+        return False
+
+    def mirror_extent(self, shape):
+        """The largest coordinate of each shape pointer that is a mirror; 0 where it is none."""
+        return dr.gather(mi.Float, self.mirrors, dr.reinterpret_array(mi.UInt32, shape))
+
     def is_mirror(self, shape):
         """Whether each shape pointer is a mirror."""
-        return dr.gather(mi.Bool, self.mirrors, dr.reinterpret_array(mi.UInt32, shape))
+        return self.mirror_extent(shape) > 0
 
 
 def read(scene, tolerance):
@@ -102,7 +114,7 @@ def read(scene, tolerance):
         thin=_where(body.kind == "thin" for body in bodies),
         straight=_where(not body.refracts for body in bodies),
         others=others,
-        mirrors=_per_shape(scene, mi.Bool, False, {_shape_id(shape): True for shape in others if _is_mirror(shape)})
+        mirrors=_per_shape(scene, mi.Float, 0, {_shape_id(shape): _extent(shape) for shape in others if _is_mirror(shape)})
         if any(map(_is_mirror, others)) else None,
     )  # fmt: skip
 
@@ -132,7 +144,13 @@ def _per_shape(scene, kind, default, values):
     table = [default] * (1 + max([_shape_id(shape) for shape in scene.shapes()], default=0))
     for shape_id, value in values.items():
         table[shape_id] = value
-    return lanes.array(kind, np.array(table, dtype=bool if kind is mi.Bool else np.uint32))
+    return lanes.array(kind, np.array(table, dtype=np.float32 if kind is mi.Float else np.uint32))
+
+
+def _extent(shape):
+    """Largest coordinate of a shape (world)."""
+    box = shape.bbox()
+    return max(float(np.abs(np.array(corner)).max()) for corner in (box.min, box.max))
 
 
 def _shape_id(shape):
@@ -159,12 +177,15 @@ def _boundaries(bodies, regions, lights):
                     region.admits = True
             continue
         if inside is not None and inside.scatters:
-            inside.boundaries.append(body if body.closed else body.reaches(inside.reach))
+            inside.boundaries.append(body if inside.reach is None else body.reaches(inside.reach))
         if outside is not None and outside.scatters and any(_may_be_inside(light, body) for light in lights):
             other = body.flipped(next_record)
             next_record += body.triangle_count
             turned.append(other)
             outside.boundaries.append(other.reaches(outside.reach or outside.body.size))
+    for body in bodies:
+        if not body.refracts and body.outside != NONE and regions[body.outside].boundaries:
+            raise refusal("straight inside", body.name, other=regions[body.outside].boundaries[0].name)
     return turned
 
 

@@ -15,6 +15,9 @@ from ..lanes import NONE  # no body; the region that has no medium and is no bod
 from .errors import SceneError, name_shape
 from .support import BOUNDARIES, PERTURBED, refusal
 
+FLUSH = 1e-4
+"""Share of its distance from the middle by which a corner is moved inwards before it is asked what encloses it."""
+
 
 @dataclass
 class Body:
@@ -213,9 +216,13 @@ def _around(corners, part, name):
 
 
 def enclosed_share(outer, inner, most=64):
-    """Share of (at most ``most``) corners of the triangles ``inner`` (F, 3, 3) that the closed mesh ``outer`` encloses."""
+    """Share of (at most ``most``) corners of the triangles ``inner`` (F, 3, 3) that the closed mesh ``outer`` encloses.
+
+    The corners are moved a little towards their middle: meshes that touch do not enclose each other's corners.
+    """
     low, high = outer.min(axis=(0, 1)), outer.max(axis=(0, 1))
     points = inner.reshape(-1, 3)
+    points = points + FLUSH * (0.5 * (points.min(axis=0) + points.max(axis=0)) - points)
     within = ((points >= low) & (points <= high)).all(axis=1)
     if not within.any():
         return 0.0

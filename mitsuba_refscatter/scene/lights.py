@@ -142,6 +142,9 @@ def read(scene, bodies, scatters):
             if scatters:
                 raise refusal("emitter", name)
             continue
+        for key, value in mi.traverse(emitter):
+            if dr.is_array_v(value) and not np.isfinite(np.array(dr.ravel(value), dtype=float)).all():
+                raise SceneError(f"{name} has a value of {key.split('.')[0]} that is not finite: correct it")
         exact = _exact(emitter, kind, name, bodies) if kind in DELTA_EMITTERS else None
         shape = emitter.get_shape()
         box = None if shape is None else tuple(np.array(x).ravel() for x in (shape.bbox().min, shape.bbox().max))
@@ -157,15 +160,17 @@ def _is_known(emitter, kind):
 
 def _exact(emitter, kind, name, bodies):
     """The ``LightPoint`` of an emitter at one point or in one direction."""
-    for key, value in mi.traverse(emitter):
-        if dr.is_array_v(value) and not np.isfinite(np.array(dr.ravel(value), dtype=float)).all():
-            raise SceneError(f"{name} has a value of {key.split('.')[0]} that is not finite: correct it")
     origin = mi.Point3f(0, 0, 0)
     drawn, _ = _sample(emitter, origin, visible(), mi.Point2f(0.5))
 
+    # One power of two away, where Mitsuba divides by its square: far enough to be told from the light in float32.
+    away = 2.0 ** np.ceil(np.log2(max(1.0, float(np.abs(np.array(drawn.p)).max()))))
+
     def value(wavelengths):
-        at = mi.Point3f(0) if kind == "DirectionalEmitter" else mi.Point3f(drawn.p) + mi.Vector3f(0, 0, 1)
-        return _sample(emitter, at, wavelengths, mi.Point2f(0.5))[1]
+        if kind == "DirectionalEmitter":
+            return _sample(emitter, origin, wavelengths, mi.Point2f(0.5))[1]
+        at = mi.Point3f(drawn.p) + mi.Vector3f(0, 0, dr.opaque(mi.Float, away))
+        return _sample(emitter, at, wavelengths, mi.Point2f(0.5))[1] * dr.opaque(mi.Float, away**2)
 
     if kind == "DirectionalEmitter":
         return LightPoint(dr.opaque(mi.Vector3f, list(np.array(drawn.d).ravel())), True, value)
@@ -193,10 +198,8 @@ def _share_out(drawn, bodies):
         for body in bodies or [None]:
             P = mi.Point3f(0 if body is None else mi.Point3f([float(x) for x in body.centre]))
             _, value = _sample(light.emitter, P, visible(), mi.Point2f(*u))
-            value = np.nan_to_num(np.array(value), posinf=0)
-            if not np.isfinite(value).all():
-                raise SceneError(f"{light.name} has a radiance that is not finite: correct it")
-            brought[i] += value.mean()
+            # A point of a surface that the body's centre lies on gives no number.
+            brought[i] += np.nan_to_num(np.array(value), posinf=0).mean()
     even = np.full(len(drawn), 1 / len(drawn))
     share = brought / brought.sum() if brought.sum() > 0 else even
     for light, x in zip(drawn, 0.9 * share + 0.1 * even):

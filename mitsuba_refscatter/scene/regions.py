@@ -44,14 +44,19 @@ class Regions:
 
     def __init__(self, bodies, sensors):
         self.found, self._open = [], {}
-        closed = [body for body in bodies if body.closed]
-        inside_of = _containers(closed)
+        inside_of = _containers(bodies)
         for body in bodies:
-            body.inside = self._add(body.name, body, body.shape.interior_medium()).index if body.closed else self._of(
-                body.shape.interior_medium(), body)  # fmt: skip
+            if body.closed:
+                body.inside = self._add(body.name, body, body.shape.interior_medium()).index
         for body in bodies:
-            container = inside_of.get(body.index)
-            body.outside = self._outside(body, container)
+            container, interior, exterior = (
+                inside_of.get(body.index),
+                body.shape.interior_medium(),
+                body.shape.exterior_medium(),
+            )
+            if not body.closed:
+                body.inside = self._around(body, container, interior, "interior")
+            body.outside = self._around(body, container, exterior, "exterior")
         for sensor in sensors:
             if sensor.get_medium() is not None and not any(r.medium == sensor.get_medium() for r in self.found):
                 self._of(sensor.get_medium(), None)
@@ -78,14 +83,14 @@ class Regions:
         self._open[region.index] = medium, region
         return region.index
 
-    def _outside(self, body, container):
-        medium = body.shape.exterior_medium()
+    def _around(self, body, container, medium, side):
+        """Index of the region on a side of a body where no body but its ``container``, if it has one, ends it."""
         if container is None:
             return self._of(medium, body)
         region = self.found[container.inside]
         if region.medium != medium:
-            what = "no exterior medium" if medium is None else "another exterior medium"
-            raise refusal("exterior", body.name, other=container.name, what=what)
+            what = f"no {side} medium" if medium is None else f"another {side} medium"
+            raise refusal("exterior", body.name, other=container.name, what=what, side=side)
         return region.index
 
 
@@ -98,12 +103,12 @@ def _reach(name, medium):
     return float(tolerances.OPAQUE / sigma_t[sigma_t > 0].min())
 
 
-def _containers(closed):
-    """The smallest closed body around each closed body (by index). Refuses those that overlap."""
+def _containers(bodies):
+    """The smallest closed body around each body (by index). Refuses those that overlap."""
     around = {}
-    for inner in closed:
-        for outer in closed:
-            if outer is inner or not _boxes_meet(inner.box, outer.box):
+    for inner in bodies:
+        for outer in bodies:
+            if outer is inner or not outer.closed or not _boxes_meet(inner.box, outer.box):
                 continue
             share = enclosed_share(outer.corners, inner.corners)
             if 0 < share < 1:

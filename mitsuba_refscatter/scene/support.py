@@ -85,7 +85,10 @@ REFUSED = {
     "overlap": Part("position", "bodies that overlap", "the medium there is not defined",
                     "overlaps {other}: refscatter supports volumes apart from or inside each other only; separate them"),
     "exterior": Part("position", "a body inside another that does not name the medium around it", "both must say the same",
-                     "is inside {other} but has {what}: give it the medium around it as its exterior, or none where there is none"),
+                     "is inside {other} but has {what}: give it the medium around it as its {side}, or none where there is none"),
+    "straight inside": Part("position", "a `null` or `thindielectric` inside a medium that light is refracted into", "that light is not followed through it",
+                            "is a boundary that does not refract, in a medium that light enters through {other}, which does: refscatter does not "
+                            "follow refracted light through it; remove it"),
     "camera medium": Part("position", "a camera inside a body whose medium its sensor does not name", "both must say the same",
                           "is where the camera is, but the sensor names {what}: give the sensor a reference to the medium around it, or move it out"),
     "medium": Part("medium", "`heterogeneous`", "attenuation must have a closed form",
