@@ -148,7 +148,7 @@ PLACES = {
     "light in a bubble": Case(
         lambda: {"light": ball_light((0, 0, 0), 0.8), "sensor": camera((0, 2, 5), (0, 3.6, 0), fov=40, medium=WITHIN),
                  "body": empty(glass(0.9), exterior=WITHIN)},
-        depth=3, medium=endless, options=OWN, **SLOW),
+        depth=3, medium=endless, options=OWN, ours=(8, 64), theirs=(64, 256)),
     "bubble in glass": Case(
         lambda: {"light": ball_light(), "body": cube(glass(1.3)),
                  "bubble": empty(glass(1 / 1.3), ("translate", [0.1, -0.2, 0.2]), ("scale", 0.4), exterior=WITHIN)},

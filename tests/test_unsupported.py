@@ -153,6 +153,18 @@ def test_a_body_inside_another_without_exterior(make):
     refused(lambda: make.scene(optimize=True, other=same), "inside", "winds the same way")
 
 
+def test_an_open_surface_inside_a_body(make):
+    """It must say on both sides what is around it; then it is no more than a pane."""
+    pane = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(0.2), "bsdf": glass(int_ior=1.2)}
+    refused(lambda: make.scene(pane=pane), '"pane"', 'inside shape "ball"', "interior")
+    around = {"type": "ref", "id": "around"}
+    inside = {"a_medium": {**amber(), "id": "around"}, "ball": make.ball(interior=around)}
+    refused(lambda: make.scene(**inside, pane={**pane, "interior": around}), '"pane"', "no exterior medium")
+    image = render(make.scene(**inside, pane={**pane, "interior": around, "exterior": around}))
+    alone = render(make.scene(**inside))
+    assert 0.5 * alone.mean() < image.mean() < alone.mean()  # it throws a shadow
+
+
 # ---- Lights, camera, gradients --------------------------------------------------------------
 
 

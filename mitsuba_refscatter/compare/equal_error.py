@@ -24,7 +24,7 @@ DEPTH = 4
 BIAS_TOLERANCE = 1e-4
 """Tolerance of the image that ours is compared with, at the same light points, to tell its bias."""
 SAMPLES = [16 * k * k for k in (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20, 24, 32)]
-"""Samples per pixel of ours: squares, as the sampler wants them, that passes of 16 divide."""
+"""Samples per pixel of ours: squares, as the sampler wants them, that passes of few divide."""
 RATE = 0.75
 """Power of the number of samples with which our error falls, about; decides which number is tried next."""
 OURS = {"surfaces": False, "internal_bounces": 0}
