@@ -98,19 +98,17 @@ def equal_error(
     directory: Path = typer.Option(..., "-o", "--output", help="Directory for equal_error.png and results.json."),
     error: float = typer.Option(0.01, "--error", min=1e-4, max=1.0, help="Relative error of the image that is wanted."),
     triangles: int = typer.Option(5120, "--triangles", min=20, help="Triangles of the body."),
-    resolution: int = typer.Option(256, "--resolution", min=1, help="Pixels on a side."),
+    resolution: int = typer.Option(128, "--resolution", min=1, help="Pixels on a side."),
     radius: float = typer.Option(
         0.05, "--radius", min=1e-4, help="Radius of the light that volpath is extrapolated to."
     ),
     radii: list[float] = typer.Option(
-        [0.8, 0.4, 0.2], "--volpath-radius", help="Radius that volpath renders; repeatable."
+        [0.4, 0.2, 0.1], "--volpath-radius", help="Radius that volpath renders; repeatable."
     ),
     seconds: float = typer.Option(40.0, "--seconds", min=0.0, help="Time for which volpath renders each light."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
 ):
     """Measure the time to an error of the image under area and environment lights, against volpath."""
-    if len(set(radii)) < 2:
-        raise typer.BadParameter("two radii or more are needed to extrapolate from", param_hint="--volpath-radius")
     variant = measurable(variant, directory)
     require_matplotlib()
     shown = table("light", "method", "samples", "wall s", "error", f"s to {error:.2g}", "times faster")
@@ -125,7 +123,7 @@ def equal_error(
             time_to + (" (extrapolated)" if row["extrapolated"] else ""),
             f"{row['speedup']:.3g}" if "speedup" in row else "",
         )  # fmt: skip
-        err.print(f"{row['light']} {row['radius'] or ''} {row['method']} done")
+        err.print(f"{row['light']} {row['radius'] or ''} {row['method']}: {time_to or 'not reached in any'} s")
 
     setup = equal_error_runs.Setup(variant=variant, error=error, triangles=triangles, resolution=resolution, radius=radius,
                                    radii=tuple(radii), seconds=seconds)  # fmt: skip

@@ -2,10 +2,11 @@
 
 The body of ``bumpy_sphere`` and its view, lit by a sphere of several radii in place of the point light, all of the same
 power, and by the environment map of ``amber``. Error of an image: the relative L1 difference sum|a - b| / sum b to its mean
-over many seeds, plus its bias. Ours is rendered with more and more samples until the error is reached. ``volpath``,
-restricted to the same light paths, would take days: its error falls with the square root of its samples, and once pixels hold
-many paths it is sqrt(2 / pi) times the standard deviation. So its time is computed from the variance of each pixel between
-shorter renders; where these tell too little, at small radii, it is extrapolated by a power law in the radius.
+over many seeds, and its bias, added as squares. Ours is rendered with more and more samples until the error is reached.
+``volpath``, restricted to the same light paths, would take days: its error falls with the square root of its samples, and
+once pixels hold many paths it is sqrt(2 / pi) times the standard deviation. So its time is computed from the variances
+between shorter renders. For smaller radii it is extrapolated from the smallest that was rendered: a path meets the light with
+a probability that falls with the square of its radius and then brings as much more, so variance and time grow with 1 / radius^2.
 """
 
 import math
@@ -23,12 +24,14 @@ DEPTH = 4
 """``max_depth`` of ``volpath``: camera, into the body, scattering, out of the body, light."""
 BIAS_TOLERANCE = 1e-4
 """Tolerance of the image that ours is compared with, at the same light points, to tell its bias."""
-SAMPLES = [16 * k * k for k in (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20, 24, 32)]
+SAMPLES = [n * n for n in (4, 8, 12, 16, 20, 24, 26, 28, 32, 40, 48, 64, 96, 128)]
 """Samples per pixel of ours: squares, as the sampler wants them, that passes of few divide."""
+BLOCK = 8
+"""Edge in pixels of blocks over which the variance of ``volpath`` relative to the image is averaged."""
 RATE = 0.75
 """Power of the number of samples with which our error falls, about; decides which number is tried next."""
-OURS = {"surfaces": False, "internal_bounces": 0}
-"""The light paths that ``volpath`` with ``DEPTH`` has."""
+OURS = {"surfaces": False, "internal_bounces": 0, "light_samples": 8}
+"""The light paths that ``volpath`` with ``DEPTH`` has; fewer light points per pass than usual, as there are many passes."""
 SAMPLER = "multijitter"
 """Of both: stratified in the pixels."""
 
@@ -40,10 +43,10 @@ class Setup:
 
     variant: str
     triangles: int = 5120
-    resolution: int = 256
+    resolution: int = 128
     error: float = 0.01
     tolerance: float = 0.01
-    radii: tuple = (0.8, 0.4, 0.2)
+    radii: tuple = (0.4, 0.2, 0.1)
     radius: float = 0.05
     seconds: float = 40.0
     replicates: int = 2
@@ -153,10 +156,12 @@ def _volpath(setup, scenes, radius):
         times.append(seconds)
     images, seconds = np.array(images), statistics.median(times)
     ours = scenes.ours(setup, radius)
-    truth = np.array([_image(ours, 1 + k, SAMPLES[0])[0].mean() for k in range(setup.replicates)])
+    images_of_ours = np.array([_image(ours, 1 + k, SAMPLES[0])[0] for k in range(setup.replicates)])
+    truth = images_of_ours.mean(axis=(1, 2, 3))
     means = images.mean(axis=(1, 2, 3))
     noise = (means.var(ddof=1) / len(means) + truth.var(ddof=1) / len(truth)) ** 0.5
-    error = float((2 / np.pi) ** 0.5 * images.std(axis=0, ddof=1).mean() / truth.mean())
+    deviation = _deviation(images.var(axis=0, ddof=1), images_of_ours.mean(axis=0))
+    error = float((2 / np.pi) ** 0.5 * deviation.mean() / truth.mean())
     return dict(
         samples=setup.samples, wall_seconds=seconds, mean_relative_error=error, bias=float(means.mean() / truth.mean() - 1),
         bias_in_standard_errors=float((means.mean() - truth.mean()) / noise),
@@ -164,15 +169,27 @@ def _volpath(setup, scenes, radius):
     )  # fmt: skip
 
 
-def _extrapolated(rows, radius):
-    """The time of ``volpath`` by the power law that fits larger radii."""
+def _deviation(variance, truth):
+    """Standard deviation of each pixel from noisy variances: in a block of pixels they are taken to be proportional to the
+    image, as those of the number of paths that find the light are. Those of single pixels with few paths are mostly too
+    small, and their roots even more."""
     import numpy as np
 
-    known = [(row["radius"], row["seconds_to_error"]) for row in rows if row["method"] == "volpath"]
-    slope, offset = np.polyfit(*np.log(known).T, 1)
-    return dict(
-        seconds_to_error=float(np.exp(offset + slope * np.log(radius))), exponent=float(slope), extrapolated=True
-    )
+    height, width, _ = truth.shape
+    y, x = np.indices((height, width))
+    block = (y // BLOCK * width + x // BLOCK).ravel()
+    out = np.empty_like(variance)
+    for k in range(variance.shape[-1]):
+        sums = [np.bincount(block, image[..., k].ravel()) for image in (variance, truth)]
+        ratio = sums[0] / np.maximum(sums[1], 1e-30)
+        out[..., k] = np.sqrt(ratio[block].reshape(height, width) * truth[..., k])
+    return out
+
+
+def _extrapolated(rows, radius):
+    """The time of ``volpath`` at a smaller radius than those that it was rendered for."""
+    known = min((row for row in rows if row["method"] == "volpath"), key=lambda row: row["radius"])
+    return dict(seconds_to_error=known["seconds_to_error"] * (known["radius"] / radius) ** 2, extrapolated=True)
 
 
 def _refscatter(setup, scenes, radius):
@@ -186,7 +203,7 @@ def _refscatter(setup, scenes, radius):
     samples = SAMPLES[0]
     while True:
         images, times = zip(*(_image(usual, 1 + k, samples) for k in range(setup.replicates)))
-        error = _spread(np.array(images)) + bias
+        error = math.hypot(_spread(np.array(images)), bias)
         more = [n for n in SAMPLES if n > samples]
         if error <= setup.error or not more:
             break
