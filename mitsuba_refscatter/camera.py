@@ -99,14 +99,7 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     _refuse_overlaps(scene, legs, pi.t, target, other)
     if first:
         _refuse_other_medium(scene, legs, target, other & ~leaving)
-    # What the crossing that was missed does to radiance is made up for: before this leg, or after it where its body
-    # touches the one that is met.
-    behind = scene.missed_behind(legs.region, target, leaving, other)
-    factor = scene.squared_index(legs.region) / scene.squared_index(here)
-    legs.weight = dr.select(behind, legs.weight * factor, legs.weight)
-    after = dr.select(other & ~behind, factor, 1)
-    legs.region = dr.select(behind, here, legs.region)
-
+    after = _make_up(scene, legs, target, leaving, here, other)
     sigma_t, within = mi.Spectrum(0), legs.region != NONE
     wavelengths = lanes.of(ray.wavelengths, legs.sample)
     for region in scene.regions:
@@ -118,13 +111,7 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     )
     dr.eval(arriving, legs.weight, legs.region)
 
-    for region in scene.regions:
-        if region.scatters:
-            kept = dr.compress((legs.region == region.index) & (True if region.reach else hit))
-            if dr.width(kept) > 0:
-                s, t = legs.gather(kept), dr.gather(mi.Float, length, kept)
-                t = dr.minimum(t, dr.opaque(mi.Float, region.reach)) if region.reach else t
-                paths.segments[region.index].append((s.o, s.d, t, s.weight, s.sample))
+    _record(scene, legs, hit, length, paths)
     if surfaces:
         kept = dr.compress(dr.select(hit, ~boundary & ~mirror, dr.max(arriving.weight) > 0))
         if dr.width(kept) > 0:
@@ -150,6 +137,28 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     if not split:
         return legs.gather(dr.zeros(mi.UInt32, 0))
     return Legs(*(lanes.concat(x) for x in zip(*(legs.__dict__.values() for legs in split))))
+
+
+def _make_up(scene, legs, target, leaving, here, other):
+    """Corrects the weight and region of legs that meet a boundary from another region (``other``) than that on its near
+    side (``here``). What the crossing that was missed does to radiance is made up for: before this leg, or after it where
+    its body touches the one that is met. Returns the factor for after it."""
+    behind = scene.missed_behind(legs.region, target, leaving, other)
+    factor = scene.squared_index(legs.region) / scene.squared_index(here)
+    legs.weight = dr.select(behind, legs.weight * factor, legs.weight)
+    legs.region = dr.select(behind, here, legs.region)
+    return dr.select(other & ~behind, factor, 1)
+
+
+def _record(scene, legs, hit, length, paths):
+    """Adds the parts of legs in regions that scatter to the segments."""
+    for region in scene.regions:
+        if region.scatters:
+            kept = dr.compress((legs.region == region.index) & (True if region.reach else hit))
+            if dr.width(kept) > 0:
+                s, t = legs.gather(kept), dr.gather(mi.Float, length, kept)
+                t = dr.minimum(t, dr.opaque(mi.Float, region.reach)) if region.reach else t
+                paths.segments[region.index].append((s.o, s.d, t, s.weight, s.sample))
 
 
 def _split(

@@ -33,9 +33,6 @@ PERTURBED = {
 }  # fmt: skip
 """BSDFs that may hold a dielectric, by class name: the boundary would not be smooth, or not everywhere."""
 
-TESSELLATED = ("Sphere", "Cylinder", "Disk")
-"""Analytic shapes of which meshes are made where they are boundaries."""
-
 MEDIUM = "HomogeneousMedium"
 
 SUPPORTED = {
