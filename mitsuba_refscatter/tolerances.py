@@ -1,6 +1,7 @@
 """Every threshold of the package: its name, unit and reason. No other module holds a bare epsilon, but divisors that
 must not be 0 (1e-30)."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -233,6 +234,7 @@ def accuracy(tolerance):
     )
 
 
+@functools.cache
 def gauss(points):
     """Gauss-Legendre nodes and weights on [0, 1] as Python floats."""
     x, w = np.polynomial.legendre.leggauss(points)

@@ -60,20 +60,41 @@ class Counts:
         self.leaves += other.leaves
 
 
-def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=False, progress=None):
+@dataclass
+class Pace:
+    """How many segments are traversed at once: goes on from light to light and from pass to pass, as their pairs are about as
+    many."""
+
+    segments: int = 0
+
+    def __post_init__(self):
+        self.segments = self.segments or tolerances.FIRST_CHUNK
+
+    def slower(self, size, found):
+        """After ``size`` segments had too many pairs, ``found``."""
+        self.segments = max(1, min(size - 1, _fitting(size, found)))
+
+    def next(self, size, found):
+        """After ``size`` segments had ``found`` pairs. Neighbouring segments are alike, distant ones are not: it grows step by
+        step."""
+        self.segments = min(tolerances.CHUNK_SEGMENTS, _fitting(size, found), max(4 * size, self.segments))
+
+
+def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=False, progress=None, pace=None):
     """Single scattering along every segment by one light. Returns (``Sums``, ``Counts``).
 
     ``culling``: ``beams.Beams`` or ``spindle.Spindle``; ``estimator``: a module of ``estimators``, ``seed``: of its random
     numbers, if it has any (``point`` goes through sample points of the segments instead of the segments); ``detail``: whether
-    pairs are counted. ``progress(done, total)`` is called per chunk. Raises ``ValueError`` for one light point per segment
+    pairs are counted. ``progress(done, total)`` is called per chunk; ``pace``: a ``Pace`` to go on with. Raises ``ValueError`` for one light point per segment
     where the culling is made for one light.
     """
     if culling.for_one_light and dr.width(lighting.light.L) > 1:
         raise ValueError(
             'refscatter: culling "beams" is made for one light point, not for one per segment: use "spindle"'
         )
+    pace = pace or Pace()
     if estimator is not point:
-        return _sweep(segments, culling, lighting, accuracy, estimator, detail, progress)
+        return _sweep(segments, culling, lighting, accuracy, estimator, detail, progress, pace)
     n, sums, counts = accuracy.point_samples, Sums.nothing(len(segments), detail), Counts(segments=len(segments))
     at_once = max(1, min(n, tolerances.PASS_SAMPLES // len(segments)))
     for first in range(0, n, at_once):
@@ -81,29 +102,28 @@ def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=Fal
         index, points, weight = point.queries(segments, lighting, first, several, n, seed)
         dr.eval(index, points.o, weight)
         report = None if progress is None else lambda done, total: progress(first + several * done / total, n)
-        found, more = _sweep(points, culling, lighting.at(index), accuracy, point, detail, report)
+        found, more = _sweep(points, culling, lighting.at(index), accuracy, point, detail, report, pace)
         sums.add_all(found, weight, index)
         counts.leaves += more.leaves
     return sums.first(len(segments)), counts
 
 
-def _sweep(segments, culling, lighting, accuracy, estimator, detail, progress):
+def _sweep(segments, culling, lighting, accuracy, estimator, detail, progress, pace):
     """``scatter`` with all segments as they are."""
     n = len(segments)
     sums, counts = Sums.nothing(n, detail), Counts(segments=n)
     work = Work(sums, segments, culling, lighting, accuracy, estimator)
-    chunk, start = tolerances.FIRST_CHUNK, 0
+    start = 0
     while start < n:
-        size = min(chunk, n - start)
+        size = min(pace.segments, n - start)
         lane, leaf, found = work.traverse(start, size)
         if found > tolerances.CHUNK_PAIRS:
             if size == 1:
                 raise RuntimeError(f"refscatter: one camera segment meets {found} leaves of the culling's tree, the buffer holds "
                                    f"{tolerances.CHUNK_PAIRS}; raise tolerances.CHUNK_PAIRS")  # fmt: skip
-            chunk = max(1, min(size - 1, _fitting(size, found)))
+            pace.slower(size, found)
             continue
-        # Neighbouring segments are alike, distant ones are not: grow step by step.
-        chunk = min(tolerances.CHUNK_SEGMENTS, _fitting(size, found), 4 * size)
+        pace.next(size, found)
         counts.leaves += found
         if found > 0:
             whole, parts = work.filter(lane, leaf, found)

@@ -94,8 +94,8 @@ def _clip(limits, tau0, tau1):
 def accumulate(sums, pairs, segments, culling, lighting, accuracy):
     """Adds what the light beams of ``pairs`` bring to their segments to ``sums``.
 
-    Where culling has proofs, first the pairs that they show free, without any shadow ray, then the others; otherwise all at
-    once. Returns the pairs that were left out since their curves must be cut first.
+    Where culling has proofs, first the pairs that they show free, without any shadow ray, then the others; otherwise, and for
+    parts of curves, which are few, all at once. Returns the pairs that were left out since their curves must be cut first.
     """
     arguments = (sums, segments, culling, lighting, accuracy)
 
@@ -106,7 +106,7 @@ def accumulate(sums, pairs, segments, culling, lighting, accuracy):
     def rays(lighting, point, tri, s, taken, active):
         return lighting.visible(point.P, tri.Ng, point.omega, s, taken, active), False
 
-    if lighting.shadowless or not culling.for_one_light:
+    if lighting.shadowless or not culling.for_one_light or pairs.tau0 is not None:
         return pairs.gather(dr.compress(_accumulate(pairs, *arguments, rays)[1]))
     is_open, cut = _accumulate(pairs, *arguments, proof)
     open_pairs = dr.compress(is_open)

@@ -53,6 +53,10 @@ class Prepared:
         """``lights.Pools``, which go on from pass to pass; the first pass's ``seed`` decides."""
         return self._once(lambda: light_points.Pools(self.scene.lights, seed), "pools")
 
+    def pace(self, body):
+        """``wavefront.Pace`` for a body."""
+        return self._once(wavefront.Pace, "pace", body.first_record)
+
     @property
     def draws(self):
         """Whether any light must be drawn at random."""
@@ -200,7 +204,7 @@ def _refracted(prepared, region, light, stretch, light_point, value, single, see
             continue
         segments = stretch.segments(body.centre, sigma_t)
         sums, counts = wavefront.scatter(
-            segments, culling, lighting, prepared.accuracy, prepared.estimator, seed, detail, report
+            segments, culling, lighting, prepared.accuracy, prepared.estimator, seed, detail, report, prepared.pace(body)
         )
         prepared.counts.add(counts)
         tint = body.tint("specular_transmittance", stretch.wavelengths)
