@@ -4,13 +4,15 @@ import drjit as dr
 import mitsuba as mi
 
 from . import tolerances
+from .sequence import PLACE, Batch
 
 
-def render(sample, sensor, seed, spp, aovs, develop, evaluate, progress):
+def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progress):
     """Renders in passes of at most ``tolerances.PASS_SAMPLES`` camera samples, at least one per pixel.
 
-    ``sample(sampler, ray, ray weight, active, progress) -> (radiance, valid, extra channels)``; arguments as in
-    Mitsuba's ``Integrator.render``. ``progress(fraction)`` may be None.
+    ``sample(sampler, ray, ray weight, active, batch, progress) -> (radiance, valid, extra channels)``; arguments as in
+    Mitsuba's ``Integrator.render``. ``sequence``: that the places in the pixels are taken from (``Sequence``), or None
+    for those of the sampler. ``progress(fraction)`` may be None.
     """
     film, sampler = sensor.film(), sensor.sampler().clone()
     if spp:
@@ -27,9 +29,10 @@ def render(sample, sensor, seed, spp, aovs, develop, evaluate, progress):
     block.set_coalesce(block.coalesce() and per_pass >= 4)
     passes = spp // per_pass
     for k in range(passes):
-        ray, weight, position = _rays(sensor, sampler, film, size, border, per_pass)
+        batch = Batch(k * per_pass, per_pass)
+        ray, weight, position = _rays(sensor, sampler, film, size, border, batch, sequence)
         report = None if progress is None else lambda x, k=k: progress((k + x) / passes)
-        value, valid, extra = sample(sampler, ray, weight, True, report)
+        value, valid, extra = sample(sampler, ray, weight, True, batch, report)
         _put(block, film, position, value * weight, valid, extra, ray.wavelengths)
         sampler.advance()
         sampler.schedule_state()
@@ -52,13 +55,13 @@ def _divisor(spp, most):
     return max(k for k in range(1, min(spp, most) + 1) if spp % k == 0)
 
 
-def _rays(sensor, sampler, film, size, border, per_pass):
-    """One wavefront of camera rays: ``per_pass`` neighbouring lanes belong to one pixel."""
-    width = dr.opaque(mi.UInt32, int(size[0]))
-    pixel = dr.arange(mi.UInt32, int(size[0]) * int(size[1]) * per_pass) // dr.opaque(mi.UInt32, per_pass)
+def _rays(sensor, sampler, film, size, border, batch, sequence):
+    """One wavefront of camera rays."""
+    width, n = dr.opaque(mi.UInt32, int(size[0])), int(size[0]) * int(size[1]) * batch.per_pixel
+    pixel, _ = batch.split(n)
     corner = mi.Point2f(film.crop_offset()) - float(border)
     whole = mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width)) + corner
-    position = whole + sampler.next_2d()
+    position = whole + (sampler.next_2d() if sequence is None else sequence.own(PLACE, batch, n))
     scaled = (position - mi.Point2f(film.crop_offset())) / mi.Point2f(film.crop_size())
     aperture = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
     time = sensor.shutter_open()

@@ -15,9 +15,9 @@ def array(kind, values):
     """Numbers (a list or NumPy array) as a Dr.Jit array with memory of its own.
 
     ``kind(values)`` may share NumPy's, at any alignment, and takes a single number for a constant: in both cases other
-    values mean other kernels. So the copy is made from an aligned one.
+    values mean other kernels. So the copy is made from an aligned one of the right type.
     """
-    values = np.asarray(values)
+    values = np.asarray(values).astype(kind().numpy().dtype)
     if values.size == 0:
         return kind()
     if values.size == 1:

@@ -79,9 +79,7 @@ class Shadows:
         uniform = silhouette.uniform(corners, edges, light, distant)
         rest = np.flatnonzero(~uniform)
         if len(rest) > 0 and len(edges) > 0:
-            tri = triangle.gather(
-                self.scene.records, dr.gather(mi.UInt32, triangles, lanes.array(mi.UInt32, rest.astype(np.uint32)))
-            )
+            tri = triangle.gather(self.scene.records, dr.gather(mi.UInt32, triangles, lanes.array(mi.UInt32, rest)))
             relative = [p if distant else p - self.light.L for p in tri.corners()]
             skin = tolerances.SHADOW_OFFSET * self.body.extent
             edges = edges - (np.array(self.body.centre) if distant else light)

@@ -203,7 +203,7 @@ class Culling:
     def __init__(self, scene, **options):
         from mitsuba_refscatter.integrators.lit import Prepared  # made anew for each variant
 
-        self.prepared = Prepared(scene, Options(**options))
+        self.prepared = Prepared(scene, Options(**options), lambda: 0)
         self.body, light = self.prepared.scene.bodies[0], self.prepared.scene.lights[0]
         self.lighting, self.culling = self.prepared.lit(self.body, self.prepared.scene.regions[0], light.exact)
 

@@ -10,6 +10,7 @@ from build import point_light
 from mitsuba_refscatter import options
 from mitsuba_refscatter.integrators import lit
 from mitsuba_refscatter.scene import lights as light_points
+from mitsuba_refscatter.sequence import Batch, Sequence
 
 pytestmark = pytest.mark.usefixtures("rgb")
 
@@ -26,28 +27,34 @@ def prepared(rgb):
         "type": "scene", "a_medium": medium(), "a": panel(-2, 1.0), "b": panel(2, 3.0), "lamp": point_light((0, 9, 0)),
         "body": {"type": "cube", "bsdf": {"type": "null"}, "interior": WITHIN},
     })  # fmt: skip
-    return lit.Prepared(scene, options.Options(light_samples=8))
+    return lit.Prepared(scene, options.Options(light_samples=8), lambda: 0)
 
 
 def place(point):
     return np.array(point.L).ravel()
 
 
+def pool(prepared, k, points=8, sequence=None):
+    """The light points of pass ``k`` with as many samples of a pixel."""
+    numbers, _ = (sequence or prepared.sequence).shared(points, Batch(k * points, points), 1)
+    return [light_points.at(prepared.scene.lights, u, v) for u, v in numbers]
+
+
 def test_pools_share_the_lights_by_their_power(prepared):
-    """Each pool, to less than one point; all light points of a panel together fill it evenly."""
-    pools = light_points.Pools(prepared.scene.lights, seed=1)
+    """Each pool, to one point; all light points of a panel together fill it evenly."""
     drawn = [light for light in prepared.scene.lights if light.exact is None]
     assert len(drawn) == 2 and sum(light.fluence for light in drawn) == pytest.approx(1)
     few, many = sorted(light.fluence for light in drawn)
     assert 2 < many / few < 3.5  # a tenth of the points is shared out evenly
     where = {light.name: [] for light in drawn}
-    for _ in range(32):
-        pool = pools.next(8)
+    for k in range(32):
+        points = pool(prepared, k)
         for light in drawn:
-            mine = [place(point) for other, point in pool if other is light]
-            assert abs(len(mine) - 8 * light.fluence) < 1
+            mine = [place(point) for other, point in points if other is light]
+            assert abs(len(mine) - 8 * light.fluence) <= 1
             where[light.name] += mine
-    for points in map(np.array, where.values()):
+    for light, points in zip(drawn, map(np.array, where.values())):
+        assert abs(len(points) - 256 * light.fluence) <= 1
         u = points[:, [0, 2]] - [np.round(points[:, 0].mean()), 0]  # in [-1, 1]
         cells = np.histogram2d(*u.T, bins=4, range=[[-1, 1]] * 2)[0]
         # Random points have a chi-square of 15 in 16 cells, and one below 5 in less than one of 100 cases.
@@ -57,11 +64,11 @@ def test_pools_share_the_lights_by_their_power(prepared):
 
 
 def test_another_pool_for_the_next_pass(prepared):
-    first, second = (prepared.pools(7).next(8) for _ in range(2))
-    places = {tuple(place(point)) for _, point in first + second}
-    assert len(places) == 16
-    again = light_points.Pools(prepared.scene.lights, 7).next(8)
+    first, second = (pool(prepared, k) for k in range(2))
+    assert len({tuple(place(point)) for _, point in first + second}) == 16
+    again, other = (pool(prepared, 0, sequence=Sequence(seed)) for seed in (prepared.sequence.seed, 7))
     assert [tuple(place(p)) for _, p in again] == [tuple(place(p)) for _, p in first]
+    assert [tuple(place(p)) for _, p in other] != [tuple(place(p)) for _, p in first]
 
 
 def slots(turns, n):
@@ -72,18 +79,31 @@ def slots(turns, n):
 
 
 def test_neighbours_take_different_points(prepared):
-    """The lamp is for all; of the pool each eight consecutive samples take each point once, in another order than the next."""
+    """The lamp is for all; of the pool each of eight consecutive pixels takes a point of its own, in another order than the
+    next eight, in the next pass a further one."""
     n = 8 * 40
-    taken = slots(lit.turns(prepared, n, mi.Color0f(), 3), n)
+    taken, later = (slots(lit.turns(prepared, n, mi.Color0f(), Batch(k, 1)), n) for k in range(2))
     assert taken[:, 0].all() and (taken[:, 1:].sum(axis=1) == 1).all()
     chosen = taken[:, 1:].argmax(axis=1).reshape(-1, 8)
     assert (np.sort(chosen, axis=1) == np.arange(8)).all()
     assert len(np.unique(chosen[:, 0])) == 8
+    assert (taken == later).all()  # of another pool
+
+
+def test_samples_of_a_pixel_take_different_points(prepared):
+    """With as many light points as samples all; with fewer consecutive ones the same."""
+    n = 8 * 40
+    chosen = slots(lit.turns(prepared, n, mi.Color0f(), Batch(0, 8)), n)[:, 1:].argmax(axis=1).reshape(-1, 8)
+    assert (chosen == np.arange(8)).all()
+    turns = lit.turns(prepared, 4 * n, mi.Color0f(), Batch(0, 32))
+    assert len(turns) == 1 + 8
+    chosen = slots(turns, 4 * n)[:, 1:].argmax(axis=1).reshape(-1, 32)
+    assert (chosen == np.arange(32) // 4).all()
 
 
 def test_each_sample_has_a_point_of_its_own(prepared):
     prepared.culling, n = "spindle", 1000
-    turns = lit.turns(prepared, n, mi.Color0f(), 3)
+    turns = lit.turns(prepared, n, mi.Color0f(), Batch(3, 1))
     taken = slots(turns, n)
     assert taken[:, 0].all() and (taken[:, 1:].sum(axis=1) == 1).all()
     places = np.concatenate([np.array(turn.point.L).T for turn in turns[1:]])

@@ -23,10 +23,6 @@ CALL = r"define fastcc [^\n]*@func_"
 """A function of an object of the scene that is chosen when the kernel runs."""
 
 
-COPY = 8
-"""Operations of a kernel that only copies."""
-
-
 class Kernels:
     """Those of a render: their hashes, and how often something stands in their code."""
 
@@ -37,8 +33,7 @@ class Kernels:
             dr.kernel_history_clear()
             integrator.render(scene, spp=1)
             found = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
-        # Not mere copies: that of NumPy's memory depends on where it lies.
-        self.hashes = {kernel["hash"] for kernel in found if kernel["operation_count"] > COPY}
+        self.hashes = {kernel["hash"] for kernel in found}
         self.code = [kernel["ir"].getvalue() for kernel in found]
 
     def count(self, pattern):

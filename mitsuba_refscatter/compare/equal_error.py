@@ -24,16 +24,17 @@ DEPTH = 4
 """``max_depth`` of ``volpath``: camera, into the body, scattering, out of the body, light."""
 BIAS_TOLERANCE = 1e-4
 """Tolerance of the image that ours is compared with, at the same light points, to tell its bias."""
-SAMPLES = [n * n for n in (4, 8, 12, 16, 20, 24, 26, 28, 32, 40, 48, 64, 96, 128)]
-"""Samples per pixel of ours: squares, as the sampler wants them, that passes of few divide."""
+SAMPLES = [16, 48, 64, 80, 144, 224, 256, 288, 400, 576, 784, 1024, 1600, 2304, 4096, 9216, 16384]
+"""Samples per pixel of ours: products of two numbers that are nearly equal, as the sampler wants them, and multiples of 16, since
+a pass then has 16 in each of 128 x 128 pixels."""
 BLOCK = 8
 """Edge in pixels of blocks over which the variance of ``volpath`` relative to the image is averaged."""
 RATE = 0.75
 """Power of the number of samples with which our error falls, about; decides which number is tried next."""
-OURS = {"surfaces": False, "internal_bounces": 0, "light_samples": 8}
-"""The light paths that ``volpath`` with ``DEPTH`` has; fewer light points per pass than usual, as there are many passes."""
+OURS = {"surfaces": False, "internal_bounces": 0}
+"""The light paths that ``volpath`` with ``DEPTH`` has."""
 SAMPLER = "multijitter"
-"""Of both: stratified in the pixels."""
+"""Of ``volpath``: stratified in the pixels."""
 
 
 @dataclass(frozen=True)

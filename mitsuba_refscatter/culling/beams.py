@@ -117,7 +117,7 @@ def build(body, scene_records, light, bend, seen, clear):
     index = dr.gather(mi.UInt32, lit, parent)
     proven = dr.gather(mi.Bool, proven, parent)
     centre = triangle.gather(scene_records, index).position(u0 + h / 3, v0 + h / 3)
-    order = lanes.array(mi.UInt32, bvh.median_order(centre.numpy().T).astype(np.uint32))
+    order = lanes.array(mi.UInt32, bvh.median_order(centre.numpy().T))
     index, proven, u0, v0, h = (dr.gather(type(x), x, order) for x in (index, proven, u0, v0, h))
 
     count = dr.width(index)
@@ -135,5 +135,5 @@ def _expand(level):
     counts = 4 ** level.numpy().astype(np.int64)
     parent = np.repeat(np.arange(len(counts)), counts)
     code = np.arange(len(parent)) - np.repeat(np.cumsum(counts) - counts, counts)
-    parent = lanes.array(mi.UInt32, parent.astype(np.uint32))
-    return parent, lanes.array(mi.UInt32, code.astype(np.uint32)), dr.gather(mi.UInt32, level, parent)
+    parent = lanes.array(mi.UInt32, parent)
+    return parent, lanes.array(mi.UInt32, code), dr.gather(mi.UInt32, level, parent)

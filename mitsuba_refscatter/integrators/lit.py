@@ -15,15 +15,17 @@ from ..estimators import curve, interval, point, straight
 from ..estimators.lighting import Lighting, Sums
 from ..scene import holds, read, region_of_camera
 from ..scene import lights as light_points
+from ..sequence import LIGHT, Sequence
 from ..wavefront import Segments
 
 ESTIMATORS = {"curve": curve, "interval": interval, "point": point}
 
 
 class Prepared:
-    """What one render needs to know of a scene, read once: records, accuracy, estimator, culling."""
+    """What one render needs to know of a scene, read once: records, accuracy, estimator, culling; and, where lights must be
+    drawn, the numbers that ``seed()`` gives."""
 
-    def __init__(self, scene, opt):
+    def __init__(self, scene, opt, seed):
         self.scene = read(scene, opt.tolerance)
         self.accuracy = tolerances.accuracy(opt.tolerance)
         if opt.samples:
@@ -31,8 +33,9 @@ class Prepared:
                 self.accuracy, interval_samples=opt.samples, point_samples=opt.samples, adapts=False
             )
         self.estimator, self.culling, self.light_samples = ESTIMATORS[opt.estimator], opt.culling, opt.light_samples
-        self.counts = wavefront.Counts()
-        self._made = {}
+        self.counts, self._made = wavefront.Counts(), {}
+        drawn = any(light.exact is None for light in self.scene.lights)
+        self.sequence = Sequence(seed()) if drawn else None
 
     def _once(self, make, *key):
         """What ``make()`` makes at the first use of ``key``."""
@@ -49,18 +52,9 @@ class Prepared:
         """``straight.angle_panels`` of a region's phase function."""
         return self._once(lambda: straight.angle_panels(region.phase, self.accuracy), "panels", region.index)
 
-    def pools(self, seed):
-        """``lights.Pools``, which go on from pass to pass; the first pass's ``seed`` decides."""
-        return self._once(lambda: light_points.Pools(self.scene.lights, seed), "pools")
-
     def pace(self, body):
         """``wavefront.Pace`` for a body."""
         return self._once(wavefront.Pace, "pace", body.first_record)
-
-    @property
-    def draws(self):
-        """Whether any light must be drawn at random."""
-        return any(light.exact is None for light in self.scene.lights)
 
     def lit(self, body, region, light_point, wavelengths=None, key=None):
         """``(lighting, culling)`` of a light point in the region inside a boundary, made once per ``key`` if that is given; the
@@ -109,26 +103,22 @@ class Turn:
     value: object = None
 
 
-def turns(prepared, n, wavelengths, seed):
+def turns(prepared, n, wavelengths, batch):
     """The light points for ``n`` camera samples: the exact lights for all of them; of the others one for each sample, of a pool
     that all share (light beams are made for each of its points), or of its own."""
     lights = prepared.scene.lights
     out = [Turn(light, light.exact) for light in lights if light.exact is not None]
-    if not prepared.draws:
+    if prepared.sequence is None:
         return out
     if prepared.culling == "beams":
-        pool = prepared.pools(seed).next(prepared.light_samples)
-        # Each ``count`` consecutive samples have all points, from a random one on: those of a pixel then have consecutive
-        # ones, which are spread well, and other ones than those of its neighbours.
-        count, lane = dr.opaque(mi.UInt32, len(pool)), dr.arange(mi.UInt32, n)
-        first = mi.sample_tea_32(lane // count, dr.opaque(mi.UInt32, seed & 0xFFFFFFFF))[0]
-        turn = (lane + first % count) % count
-        dr.eval(turn)
-        for k, (light, one) in enumerate(pool):
+        numbers, which = prepared.sequence.shared(prepared.light_samples, batch, n)
+        dr.eval(which)
+        for k, (u, v) in enumerate(numbers):
+            light, one = light_points.at(lights, u, v)
             dr.eval(one.L, one.normal)
-            out.append(Turn(light, one, dr.select(turn == dr.opaque(mi.UInt32, k), mi.UInt32(0), lanes.NONE)))
+            out.append(Turn(light, one, dr.select(which == dr.opaque(mi.UInt32, k), mi.UInt32(0), lanes.NONE)))
         return out
-    for light, samples, points in light_points.one_each(lights, n, seed):
+    for light, samples, points in light_points.one_each(lights, prepared.sequence.own(LIGHT, batch, n)):
         slot = dr.full(mi.UInt32, lanes.NONE, n)
         dr.scatter(slot, dr.arange(mi.UInt32, dr.width(samples)), samples)
         value = points.intensity(lanes.of(wavelengths, samples))
@@ -171,13 +161,13 @@ class Stretch:
         return Segments(self.o - mi.Point3f(dr.opaque(mi.Point3f, centre)), self.d, self.t_max, sigma_t)
 
 
-def scatter(prepared, paths, ray, n, seed, detail, progress):
+def scatter(prepared, paths, ray, n, batch, seed, detail, progress):
     """Single scattering of all lights along all segments of the camera paths: ``Sums`` per camera sample, with the
     radiance itself as ``value``."""
     scene, single = prepared.scene, Sums.nothing(n, detail)
     regions = [region for region in scene.regions if paths.segments[region.index]]
     work = (
-        [(region, turn) for turn in turns(prepared, n, ray.wavelengths, seed) for region in regions] if regions else []
+        [(region, turn) for turn in turns(prepared, n, ray.wavelengths, batch) for region in regions] if regions else []
     )
     stretches = {}
     for i, (region, turn) in enumerate(work):
@@ -204,7 +194,15 @@ def _refracted(prepared, region, light, stretch, light_point, value, single, see
             continue
         segments = stretch.segments(body.centre, sigma_t)
         sums, counts = wavefront.scatter(
-            segments, culling, lighting, prepared.accuracy, prepared.estimator, seed, detail, report, prepared.pace(body)
+            segments,
+            culling,
+            lighting,
+            prepared.accuracy,
+            prepared.estimator,
+            seed,
+            detail,
+            report,
+            prepared.pace(body),
         )
         prepared.counts.add(counts)
         tint = body.tint("specular_transmittance", stretch.wavelengths)

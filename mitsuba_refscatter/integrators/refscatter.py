@@ -5,6 +5,7 @@ import mitsuba as mi
 
 from .. import camera, film, lanes, options, platform, wavefront
 from ..scene import REFUSED, SceneError, refuse_gradients
+from ..sequence import Batch
 from .lit import Prepared, scatter
 
 NESTED_WITH_MEDIA = ("Volumetric", "VolpathMis", "PRBVolpath", "Refscatter")
@@ -40,8 +41,9 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
        - Internal reflections of the camera ray, and hits from outside and of mirrors after the first. (Default: 4)
      * - light_samples
        - |int|
-       - Light points per pass for emitters that are not a point or a direction. With the culling ``beams`` all camera
-         samples of a pass share them, with ``spindle`` each has its own. (Default: 16)
+       - Light points per pass for emitters that are not a point or a direction. With the culling ``beams`` the camera
+         samples of a pass share them, with ``spindle`` each has its own. Places in the pixels then come from one
+         sequence with the light points, not from the sampler (``sequence``). (Default: 16)
      * - surfaces
        - |bool|
        - Also what is seen by reflection and through the bodies, shaded by the nested integrator.
@@ -94,7 +96,8 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             raise RuntimeError("refscatter cannot run inside a symbolic loop or call: call it on evaluated rays")
         refuse_gradients(scene)
         with dr.suspend_grad():
-            return self._sample(Prepared(scene, self.options), medium, sampler, ray, mi.Spectrum(1), active, None)
+            prepared = Prepared(scene, self.options, lambda: seed_from(sampler))
+            return self._sample(prepared, medium, sampler, ray, mi.Spectrum(1), active, Batch(), None)
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
         platform.require_usable(mi.variant())
@@ -104,16 +107,17 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             sensor = scene.sensors()[sensor]
         refuse_gradients(scene)
         with dr.suspend_grad():
-            prepared = Prepared(scene, self.options)
+            prepared = Prepared(scene, self.options, lambda: int(mi.UInt32(seed)[0]))
             self.counts = prepared.counts
             medium = sensor.get_medium()
-            return film.render(lambda *a: self._sample(prepared, medium, *a), sensor, seed, spp, self.aov_names(),
-                               develop, evaluate, self.progress)  # fmt: skip
+            return film.render(lambda *a: self._sample(prepared, medium, *a), sensor, seed, spp, prepared.sequence,
+                               self.aov_names(), develop, evaluate, self.progress)  # fmt: skip
 
-    def _sample(self, prepared, medium, sampler, ray, ray_weight, active, progress):
+    def _sample(self, prepared, medium, sampler, ray, ray_weight, active, batch, progress):
         """One wavefront of camera rays: chain, single scattering along it, surfaces at its ends.
 
-        ``ray_weight`` is the sensor's; it goes into the channels that show radiance, not into the result.
+        ``ray_weight`` is the sensor's; it goes into the channels that show radiance, not into the result. ``batch``: which
+        samples these are.
         """
         n, opt = dr.width(ray), self.options
         wanted = options.aov_list(opt)
@@ -122,8 +126,8 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         paths = camera.trace(
             prepared.scene, ray, active, start, opt.internal_bounces, opt.surfaces, prepared.accuracy.weight
         )
-        seed = seed_from(sampler) if opt.estimator == "point" or prepared.draws else 0
-        single = scatter(prepared, paths, ray, n, seed, detail=bool({"candidates", "contributions", "unresolved"} & set(wanted)),
+        seed = seed_from(sampler) if opt.estimator == "point" else 0
+        single = scatter(prepared, paths, ray, n, batch, seed, detail=bool({"candidates", "contributions", "unresolved"} & set(wanted)),
                          progress=progress)  # fmt: skip
         shown, hit = mi.Spectrum(0), paths.hit
         if opt.surfaces:

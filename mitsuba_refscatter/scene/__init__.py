@@ -144,7 +144,7 @@ def _per_shape(scene, kind, default, values):
     table = [default] * (1 + max([_shape_id(shape) for shape in scene.shapes()], default=0))
     for shape_id, value in values.items():
         table[shape_id] = value
-    return lanes.array(kind, np.array(table, dtype=np.float32 if kind is mi.Float else np.uint32))
+    return lanes.array(kind, table)
 
 
 def _extent(shape):

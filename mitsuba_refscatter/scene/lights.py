@@ -17,11 +17,8 @@ from .errors import SceneError, describe, name_shape
 from .media import visible
 from .support import CONVEX_EMITTERS, DELTA_EMITTERS, refusal
 
-GOLDEN = 0.6180339887498949
-"""Inverse of the golden ratio: its multiples are low-discrepancy in one dimension."""
-
-PLASTIC = (0.7548776662466927, 0.5698402909980532)
-"""First and second power of the inverse of the plastic number."""
+BELOW_ONE = 1 - 2.0**-24
+"""The largest float32 below 1."""
 
 
 @dataclass
@@ -206,51 +203,30 @@ def _share_out(drawn, bodies):
         light.fluence = float(x)
 
 
-class Pools:
-    """Pools of light points, one after the other, of the lights that must be drawn.
-
-    Those of all pools together are evenly spread over each light, and over the lights by their shares. A camera sample that
-    takes any point of a pool, all alike, has all of their light in the mean. ``seed``: turns all pools together.
-    """
-
-    def __init__(self, lights, seed):
-        self.lights, rng = [light for light in lights if light.exact is None], np.random.default_rng(seed)
-        self.ends = np.cumsum([light.fluence for light in self.lights])
-        self.start, self.shift = rng.random(), rng.random((len(self.lights), 2))
-        self.used = np.zeros(len(self.lights), dtype=np.int64)
-
-    def next(self, n):
-        """List of ``n`` pairs (``Light``, ``LightPoint``), or of none if no light must be drawn."""
-        if not self.lights:
-            return []
-        chosen = np.searchsorted(self.ends, (np.arange(n) + self.start) / n, side="right")
-        chosen = np.minimum(chosen, len(self.lights) - 1)
-        self.start = (self.start + GOLDEN) % 1
-        out = []
-        for k in chosen:
-            # R2: multiples of powers of the plastic number, low-discrepancy in two dimensions (Roberts 2018).
-            u = (self.shift[k] + self.used[k] * np.array(PLASTIC)) % 1
-            self.used[k] += 1
-            light = self.lights[k]
-            out.append((light, light.draw(dr.opaque(mi.Point2f, u.tolist()), light.fluence)))
-        return out
+def at(lights, u, v):
+    """``(light, LightPoint)`` of those ``lights`` that must be drawn, for numbers u, v in [0, 1): u chooses the light by its
+    share, and what it leaves of it, with v, a point."""
+    lights = [light for light in lights if light.exact is None]
+    end = 0.0
+    for light in lights:
+        start, end = end, end + light.fluence
+        if u < end or light is lights[-1]:
+            u = min(max((u - start) / light.fluence, 0.0), BELOW_ONE)
+            return light, light.draw(dr.opaque(mi.Point2f, [u, min(v, BELOW_ONE)]), light.fluence)
+    raise ValueError("no light must be drawn")
 
 
-def one_each(lights, n, seed):
-    """A light point for each of ``n`` camera samples: list of ``(light, samples, points)``, where the ``points``' lanes are those of
-    ``samples`` (indices)."""
-    drawn = [light for light in lights if light.exact is None]
-    if not drawn:
-        return []
-    random = mi.PCG32(n, dr.opaque(mi.UInt64, seed))
-    choice, u, v = (random.next_float32() for _ in range(3))
-    out, start = [], 0.0
-    for i, light in enumerate(drawn):
-        end = start + light.fluence if i + 1 < len(drawn) else 2.0
-        low, high = dr.opaque(mi.Float, start), dr.opaque(mi.Float, end)
-        samples = dr.compress((choice >= low) & (choice < high))
+def one_each(lights, u):
+    """The same for numbers ``u`` (Point2f) of many camera samples: list of ``(light, samples, points)``, where the
+    ``points``' lanes are those of ``samples`` (indices)."""
+    lights = [light for light in lights if light.exact is None]
+    out, end = [], 0.0
+    for light in lights:
+        start, end = end, end + light.fluence
+        low, high = dr.opaque(mi.Float, start), dr.opaque(mi.Float, 2.0 if light is lights[-1] else end)
+        samples = dr.compress((u.x >= low) & (u.x < high))
         if dr.width(samples) > 0:
-            point = mi.Point2f(dr.gather(mi.Float, u, samples), dr.gather(mi.Float, v, samples))
-            out.append((light, samples, light.draw(point, light.fluence)))
-        start = end
+            x, y = lanes.gather(u.x, samples), lanes.gather(u.y, samples)
+            x = dr.clip((x - low) / dr.opaque(mi.Float, light.fluence), 0, BELOW_ONE)
+            out.append((light, samples, light.draw(mi.Point2f(x, y), light.fluence)))
     return out

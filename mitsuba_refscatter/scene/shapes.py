@@ -209,11 +209,11 @@ def _mesh(surface, shape, name):
         has_vertex_normals=surface.normals is not None, has_vertex_texcoords=surface.texcoords is not None,
     )  # fmt: skip
     parameters = mi.traverse(mesh)
-    parameters["faces"] = lanes.array(mi.UInt32, surface.faces.astype(np.uint32).ravel())
+    parameters["faces"] = lanes.array(mi.UInt32, surface.faces.ravel())
     buffers = {"positions": surface.vertices, "normals": surface.normals, "texcoords": surface.texcoords}
     for key, values in buffers.items():
         if values is not None:
-            parameters[f"vertex_{key}"] = lanes.array(mi.Float, values.astype(np.float32).ravel())
+            parameters[f"vertex_{key}"] = lanes.array(mi.Float, values.ravel())
     parameters.update()
     return mesh
 
