@@ -9,8 +9,8 @@ import pytest
 from meshes import BoxTree, Mesh, bumpy_sphere, icosphere
 from scipy.optimize import linear_sum_assignment
 
-from mitsuba_refscatter import camera
-from mitsuba_refscatter.scene import NONE, read
+from mitsuba_refscatter import camera, tolerances
+from mitsuba_refscatter.scene import NONE, SceneError, read
 
 CAMERA = (0.0, 1.1, 5.2)
 SAME = 1e-2
@@ -243,3 +243,47 @@ def test_a_distant_object_does_not_matter(rgb, tmp_path):
         build.single_scattering(mi.load_dict(x), o, d, internal_bounces=1) for x in (near, {**near, "far": cube})
     )
     assert np.abs(alone - beside).sum() < 1e-3 * alone.sum()
+
+
+@pytest.mark.parametrize("moved", [0.0, 300.0])
+def test_mirror_through_the_origin(rgb, moved):
+    """Reflected rays start off a mirror by a share of its own coordinates, not of the hit's, which may be zero: the body
+    that they see is the one that rays see which start in the mirror's place."""
+    turn = mi.ScalarTransform4f().rotate([1, 0.4, 0.2], 33)
+    x, y, z = np.array(turn.matrix)[:3, :3].T
+    cube = {"type": "cube", "bsdf": {"type": "dielectric", "int_ior": 1.3, "ext_ior": 1.0}, "interior": {"type": "homogeneous"},
+            "to_world": turn.translate([0, 0, 7])}  # fmt: skip
+    mirror = {"type": "rectangle", "bsdf": {"type": "conductor", "material": "none"},
+              "to_world": turn.translate([moved, 0, 0]).scale([5 + moved, 5, 1])}  # fmt: skip
+    parts = {"type": "scene", "light": build.point_light(2 * x + 2 * y + 9 * z), "body": cube}
+    angle, size = np.arange(200), np.geomspace(1e-9, 0.3, 200)
+    place = np.outer(size * np.cos(angle), x) + np.outer(size * np.sin(angle), y)
+    d, mirrored = (np.tile((0.05 * y + sign * z) / np.hypot(0.05, 1), (200, 1)) for sign in (-1, 1))
+    direct = build.single_scattering(mi.load_dict(parts), place, mirrored, internal_bounces=1)
+    seen = build.single_scattering(mi.load_dict({**parts, "mirror": mirror}), place - 4 * d, d, internal_bounces=1)
+    assert direct.min() > 0
+    np.testing.assert_allclose(seen, direct, rtol=1e-3)
+    # They start off the mirror by this much; the cube's edge is 2.
+    assert abs(seen.sum() / direct.sum() - 1) < 1e-5 + tolerances.CAMERA_OFFSET * (5 + 2 * moved) / 2
+
+
+@pytest.mark.parametrize("nested", [True, False])
+def test_a_missed_crossing_between_nested_bodies_is_no_overlap(rgb, nested):
+    """A leg in a body's region that meets the boundary of another from its inside: where one holds the other whole it slipped
+    through an edge; where they cut each other it is refused."""
+    bars = ([1, 1, 1], [0.3, 0.3, 0.3]) if nested else ([1, 0.3, 0.3], [0.3, 1, 0.3])  # no corner is in the other bar
+    parts = {"type": "scene", "medium": {"type": "homogeneous", "id": "amber"}, "light": build.point_light((0, 50, 0))}
+    for k, scale in enumerate(bars):
+        bsdf = {"type": "dielectric", "int_ior": 1.5 + 0.1 * k, "ext_ior": 1.0}
+        side = "exterior" if nested and k else "interior"
+        parts[f"bar{k}"] = {"type": "cube", "bsdf": bsdf, side: {"type": "ref", "id": "amber"},
+                            "to_world": mi.ScalarTransform4f().scale(scale)}  # fmt: skip
+    found = read(mi.load_dict(parts, optimize=False), 0.01)
+    outer, inner = sorted(found.bodies, key=lambda body: body.eta)
+    leg = camera.Legs(mi.Point3f(0, 0, 0.1), mi.Vector3f(1, 0, 0), mi.Spectrum(1), mi.UInt32(0), mi.UInt32(inner.inside), 0, 0)  # fmt: skip
+    arguments = found, leg, mi.Float(0.02), mi.UInt32(outer.index), mi.Bool(True)
+    if nested:
+        camera._refuse_overlaps(*arguments)
+    else:
+        with pytest.raises(SceneError, match="overlaps"):
+            camera._refuse_overlaps(*arguments)
