@@ -1,6 +1,6 @@
 """Light that goes straight: what is left of it behind media and boundaries that do not refract (null, thin dielectric).
 
-Every other surface, a dielectric too, blocks it.
+Every other surface, a dielectric too, blocks it; but where all light is to go straight, it goes through one refracting boundary.
 """
 
 from dataclasses import dataclass, replace
@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from . import lanes, optics, tolerances
 from .geometry import triangle
+from .scene import ONCE
 
 BLOCKED = 0xFFFFFFFF
 """Number of boundaries crossed that means that something is in the way."""
@@ -39,15 +40,17 @@ class Air:
             ray = mi.Ray3f(o, direction)
             ray.maxt = left
             pi = scene.mi_scene.ray_intersect_preliminary(ray, active=active)
-            hit, passes, ahead, factor, behind = active & pi.is_valid(), mi.Bool(False), pi.t, mi.Spectrum(0), region
+            hit, passes, count = active & pi.is_valid(), mi.Bool(False), mi.UInt32(0)
+            ahead, factor, behind = pi.t, mi.Spectrum(0), region
             if scene.straight is not None:
-                passes, region, ahead, factor, behind = self._cross(direction, region, pi, hit)
+                count, region, ahead, factor, behind = self._cross(direction, region, pi, hit, crossed)
+                passes = count > 0
             sigma_t = mi.Spectrum(0)
             for index, sigma in sigmas:
                 sigma_t = dr.select(region == index, sigma, sigma_t)
             value = dr.select(active, value * dr.exp(-sigma_t * dr.select(hit, pi.t, left)), value)
             value = dr.select(hit, value * factor, value)
-            crossed = dr.select(hit, dr.select(passes, crossed + 1, BLOCKED), crossed)
+            crossed = dr.select(hit, dr.select(passes, crossed + count, BLOCKED), crossed)
             o, left = mi.Point3f(o + ahead * direction), dr.maximum(left - ahead, 0)
             return o, left, behind, value, crossed, hit & passes
 
@@ -58,13 +61,14 @@ class Air:
         end = dr.while_loop(state, lambda *x: x[-1], step, label="air", mode="symbolic")
         return dr.select(end[4] == BLOCKED, mi.Spectrum(0), end[3]), end[4]
 
-    def _cross(self, direction, region, pi, hit):
-        """What a hit with a boundary that does not refract means: whether it is one, the region before it, the distance to
-        just behind it, the share of the light that passes, and the region there."""
+    def _cross(self, direction, region, pi, hit, crossed):
+        """What a hit with a boundary that does not refract means: what it counts for (0 if it is none), the region before it, the
+        distance to just behind it, the share of the light that passes, and the region there."""
         scene = self.scene
         target = scene.find(pi.shape)
         passes = hit & (target != lanes.NONE)
-        passes &= dr.gather(mi.Bool, scene.straight, target, passes)
+        count = dr.gather(mi.UInt32, scene.straight, target, passes)
+        passes &= (count > 0) & (crossed + count < 2 * ONCE)
         first = dr.gather(mi.UInt32, scene.first_record, target, passes)
         tri = triangle.gather(scene.records, dr.select(passes, first + pi.prim_index, 0), passes)
         cosine = dr.dot(direction, tri.Ng)
@@ -74,8 +78,8 @@ class Air:
             F, _ = optics.fresnel(dr.abs(cosine), dr.select(passes, eta, 1))
             thin = dr.gather(mi.Bool, scene.thin, target, passes)
             factor *= dr.select(thin, 1 - optics.twice(F), 1)
-        for body in scene.bodies:
-            if not body.refracts and "specular_transmittance" in body.tints:
+        for body in scene.passed:
+            if "specular_transmittance" in body.tints:
                 tint = body.tint("specular_transmittance", self.wavelengths)
                 factor = dr.select(target == body.index, factor * tint, factor)
         here = scene.near(target, leaving, passes)
@@ -83,7 +87,7 @@ class Air:
         offset = dr.gather(mi.Float, scene.extent, target, passes) * tolerances.SHADOW_OFFSET
         ahead = pi.t + offset / dr.maximum(dr.abs(cosine), tolerances.GRAZING)
         behind = dr.select(passes, scene.near(target, ~leaving, passes), region)
-        return passes, dr.select(missed, here, region), ahead, dr.select(passes, factor, 0), behind
+        return dr.select(passes, count, 0), dr.select(missed, here, region), ahead, dr.select(passes, factor, 0), behind
 
 
 @dataclass

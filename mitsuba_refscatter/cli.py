@@ -1,22 +1,20 @@
-"""The command ``refscatter``: render, check, supported, scenes, scaling, convergence, equal-error.
+"""The command ``refscatter``: render, compare, check, supported, scenes, scaling, convergence, equal-error.
 
 Errors are one sentence on stderr and exit code 1 (usage: 2, Ctrl-C: 130).
 """
 
 from __future__ import annotations
 
-import re
 import time
 from pathlib import Path
 from typing import List, Optional  # noqa: UP035 - typer reads these on Python 3.9
 
 import typer
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from . import measuring, meshcheck, output, platform
+from . import comparing, measuring, output, platform
 from . import scenes as scene_files
-from .console import Failure, err, out, plainly
+from .console import Failure, cause, defines, err, load, out, plainly, progress_bar
 
 app = typer.Typer(
     add_completion=False,
@@ -24,57 +22,15 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Volume caustics without noise, for Mitsuba 3.",
 )
-_OURS = "RefscatterIntegrator["
+_OURS = ("RefscatterIntegrator[", "StraightIntegrator[", "PhotonIntegrator[")
 _WRAPPERS = ("AOVIntegrator", "MomentIntegrator")
-
-
-def _cause(error: BaseException) -> str:
-    """Mitsuba's message on one line, without source positions and the traceback of a Python plugin."""
-    text = str(error)
-    before, traceback, after = text.partition("Traceback (most recent call last):")
-    if traceback:
-        last = after.rpartition("Traceback (most recent call last):")[2]
-        told = [line for line in last.splitlines() if line and not line.startswith(" ")]
-        text = before + re.sub(r"^[\w.]+: ", "", " ".join(told))
-    text = re.sub(r"\[[\w.]+\.(?:cpp|h):\d+\]\s*", "", text)
-    text = re.sub(r"\s*\n\s*(?:- )?", " ", text).strip()
-    return text or type(error).__name__
-
-
-def _defines(pairs: list[str]) -> dict[str, str]:
-    values = {}
-    for pair in pairs:
-        name, equals, value = pair.partition("=")
-        if not name or not equals:
-            raise typer.BadParameter(f"'{pair}' is not of the form name=value", param_hint="-D")
-        values[name] = value
-    return values
-
-
-def _load(scene: Path, defines: dict[str, str]):
-    """Load a scene file; ``Failure`` says why it can't be."""
-    import mitsuba as mi
-
-    if not scene.is_file():
-        raise Failure(f"there is no scene file {scene}")
-    meshcheck.check_scene(scene, defines)
-    try:
-        # Merged shapes lose the names that error messages need.
-        loaded = mi.load_file(str(scene), optimize=False, **defines)
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise Failure(_cause(error)) from error
-    if not isinstance(loaded, mi.Scene):
-        raise Failure(f"{scene} does not hold a scene")
-    if not loaded.sensors():
-        raise Failure(f"{scene} has no sensor: add one")
-    return loaded
 
 
 def _is_ours(integrator) -> bool:
     """Whether a plugin of this package renders, by itself or as the child of ``aov`` or ``moment``."""
     if type(integrator).__module__.startswith("mitsuba_refscatter."):
         return True
-    return integrator is not None and integrator.class_name() in _WRAPPERS and _OURS in str(integrator)
+    return integrator is not None and integrator.class_name() in _WRAPPERS and any(x in str(integrator) for x in _OURS)
 
 
 def _integrator(scene, say):
@@ -89,24 +45,10 @@ def _integrator(scene, say):
     return mi.load_dict({"type": "refscatter"})
 
 
-def _progress(quiet: bool) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=err,
-        disable=quiet or not err.is_terminal,
-        transient=True,
-    )
-
-
 def _render(scene, integrator, spp: int, quiet: bool):
     """Render and return the film's bitmap, all channels."""
     sensor = scene.sensors()[0]
-    with _progress(quiet) as bar:
+    with progress_bar(quiet) as bar:
         task = bar.add_task("rendering", total=None if not hasattr(integrator, "progress") else 1.0)
         if hasattr(integrator, "progress"):
             integrator.progress = lambda fraction: bar.update(task, completed=fraction)
@@ -133,7 +75,7 @@ def render(
 
     The scene's own integrator is used if it is refscatter, otherwise refscatter takes its place.
     """
-    values = _defines(define)
+    values = defines(define)
     # Before Mitsuba touches LLVM: an unsuitable one can end the process.
     variant = variant or platform.default_variant()
     platform.require_usable(variant)
@@ -147,13 +89,13 @@ def render(
 
     say = (lambda text: None) if quiet else (lambda text: err.print(text, markup=False))
     start = time.perf_counter()
-    loaded = _load(scene, values)
+    loaded = load(scene, values)
     integrator = _integrator(loaded, say)
     say(f"Rendering {scene} in {variant} ...")
     try:
         bitmap = _render(loaded, integrator, spp, quiet)
     except (RuntimeError, ValueError, TypeError) as error:
-        raise Failure(_cause(error)) from error
+        raise Failure(cause(error)) from error
     written = output.write_image(path, bitmap)
     if not quiet:
         err.print(f"Done in {time.perf_counter() - start:.1f} s:")
@@ -216,7 +158,7 @@ def scenes(
     out.print(f"{path}  ({count} triangles)", markup=False)
 
 
-app.registered_commands += measuring.app.registered_commands
+app.registered_commands += comparing.app.registered_commands + measuring.app.registered_commands
 
 
 def main() -> None:

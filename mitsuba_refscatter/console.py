@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+import re
 import sys
 from pathlib import Path
 from typing import Optional
 
 import typer
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from . import meshcheck, output, platform
@@ -80,3 +82,61 @@ def table(*headings: str) -> Table:
     for heading in headings:
         out.add_column(heading, justify="left" if heading in ("light", "method", "scene", "estimator") else "right")
     return out
+
+
+def progress_bar(quiet: bool = False) -> Progress:
+    """A bar on stderr with the time left, gone at the end; none where that is no terminal."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=err,
+        disable=quiet or not err.is_terminal,
+        transient=True,
+    )
+
+
+def cause(error: BaseException) -> str:
+    """Mitsuba's message on one line, without source positions and the traceback of a Python plugin."""
+    text = str(error)
+    before, traceback, after = text.partition("Traceback (most recent call last):")
+    if traceback:
+        last = after.rpartition("Traceback (most recent call last):")[2]
+        told = [line for line in last.splitlines() if line and not line.startswith(" ")]
+        text = before + re.sub(r"^[\w.]+: ", "", " ".join(told))
+    text = re.sub(r"\[[\w.]+\.(?:cpp|h):\d+\]\s*", "", text)
+    text = re.sub(r"\s*\n\s*(?:- )?", " ", text).strip()
+    return text or type(error).__name__
+
+
+def defines(pairs: list[str]) -> dict[str, str]:
+    """What the options ``-D`` say."""
+    values = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not name or not equals:
+            raise typer.BadParameter(f"'{pair}' is not of the form name=value", param_hint="-D")
+        values[name] = value
+    return values
+
+
+def load(scene: Path, values: dict[str, str]):
+    """Load a scene file; ``Failure`` says why it can't be."""
+    import mitsuba as mi
+
+    if not scene.is_file():
+        raise Failure(f"there is no scene file {scene}")
+    meshcheck.check_scene(scene, values)
+    try:
+        # Merged shapes lose the names that error messages need.
+        loaded = mi.load_file(str(scene), optimize=False, **values)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise Failure(cause(error)) from error
+    if not isinstance(loaded, mi.Scene):
+        raise Failure(f"{scene} does not hold a scene")
+    if not loaded.sensors():
+        raise Failure(f"{scene} has no sensor: add one")
+    return loaded

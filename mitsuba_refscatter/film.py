@@ -7,12 +7,13 @@ from . import tolerances
 from .sequence import PLACE, Batch
 
 
-def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progress):
+def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progress, watch):
     """Renders in passes of at most ``tolerances.PASS_SAMPLES`` camera samples, at least one per pixel.
 
     ``sample(sampler, ray, ray weight, active, batch, progress) -> (radiance, valid, extra channels)``; arguments as in
     Mitsuba's ``Integrator.render``. ``sequence``: that the places in the pixels are taken from (``Sequence``), or None
-    for those of the sampler. ``progress(fraction)`` may be None.
+    for those of the sampler. ``progress(fraction)`` may be None, and ``watch(samples, image)``, too: if not, passes are of one
+    sample per pixel, after each it gets the image so far and says whether to go on.
     """
     film, sampler = sensor.film(), sensor.sampler().clone()
     if spp:
@@ -21,7 +22,7 @@ def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progres
     border = film.rfilter().border_size() if film.sample_border() else 0
     size = film.crop_size() + 2 * border
     pixels = int(size[0]) * int(size[1])
-    per_pass = _divisor(spp, max(1, tolerances.PASS_SAMPLES // pixels))
+    per_pass = 1 if watch else _divisor(spp, max(1, tolerances.PASS_SAMPLES // pixels))
     sampler.set_samples_per_wavefront(per_pass)
     sampler.seed(seed, pixels * per_pass)
     film.prepare(aovs)
@@ -37,6 +38,9 @@ def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progres
         sampler.advance()
         sampler.schedule_state()
         dr.eval(block.tensor())
+        if watch is not None and not watch(k + 1, _developed(film, block)):
+            break
+    film.clear()
     film.put_block(block)
     if progress is not None:
         progress(1.0)
@@ -48,6 +52,12 @@ def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progres
         dr.eval()
         dr.sync_thread()
     return image
+
+
+def _developed(film, block):
+    film.clear()
+    film.put_block(block)
+    return film.develop()
 
 
 def _divisor(spp, most):

@@ -61,6 +61,13 @@ def chosen(*masks):
     return [gather(out, dr.arange(mi.UInt32, int(counter[0]))) for counter, out in found]
 
 
+def repeat(counts):
+    """For numbers (NumPy, integers) of things that each of several parents has: per thing its parent and its number there."""
+    parent = np.repeat(np.arange(len(counts)), counts)
+    number = np.arange(len(parent)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return array(mi.UInt32, parent), array(mi.UInt32, number)
+
+
 def gather(x, index):
     """The lanes ``index`` of ``x``; no lanes for an empty index, which Dr.Jit does not take."""
     return type(x)() if dr.width(index) == 0 else dr.gather(type(x), x, index)

@@ -1,4 +1,4 @@
-"""The commands that measure: scaling, convergence, equal-error."""
+"""The commands that measure one thing: scaling, convergence, equal-error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from .compare import convergence as convergence_runs
 from .compare import equal_error as equal_error_runs
 from .compare import results
 from .compare import scaling as scaling_runs
-from .compare.methods import METHODS
 from .console import err, known, measurable, out, plainly, require_matplotlib, table
 
 app = typer.Typer()
@@ -23,7 +22,7 @@ app = typer.Typer()
 @plainly
 def scaling(
     directory: Optional[Path] = typer.Option(
-        None, "-o", "--output", help="Directory for results.json. [default: print only]"
+        None, "-o", "--output", help="Directory for scaling.png and results.json. [default: print only]"
     ),
     triangles: list[int] = typer.Option(
         list(scaling_runs.SIZES), "--triangles", min=1, help="Triangles of the body; repeatable."
@@ -34,11 +33,15 @@ def scaling(
     bounces: int = typer.Option(
         0, "--internal-bounces", min=0, help="Of refscatter; volpath has none in this comparison."
     ),
-    methods: list[str] = typer.Option(list(METHODS), "--method", help="Method to compare with volpath; repeatable."),
+    methods: list[str] = typer.Option(
+        list(scaling_runs.OURS), "--method", help="Method to compare with volpath; repeatable."
+    ),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
 ):
     """Measure cost against the number of triangles, in samples of volpath on the same machine in the same run."""
-    methods = known(methods, METHODS, "--method", "method")
+    methods = known(methods, scaling_runs.OURS, "--method", "method")
+    if directory is not None:
+        require_matplotlib()
     variant = measurable(variant, directory)
     shown = table("triangles", "method", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray",
                    "contributing/ray", "L1 error", "peak MiB")  # fmt: skip
@@ -49,7 +52,7 @@ def scaling(
             shown.add_row(
                 str(row["triangles"]), row["method"], f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
                 f"{row['volpath_samples_of_same_wall_time']:.0f}", f"{row['volpath_samples_of_same_cpu_time']:.0f}",
-                f"{row['candidates_per_ray']:.0f}", f"{row['contributing_per_ray']:.0f}",
+                *("" if row[key] is None else f"{row[key]:.0f}" for key in ("candidates_per_ray", "contributing_per_ray")),
                 f"{row['mean_relative_error']:.1e}",
                 "" if memory is None else f"{memory / 2**20:.0f}",
             )  # fmt: skip
@@ -58,8 +61,12 @@ def scaling(
     rows = scaling_runs.run(triangles, add, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces,
                             methods=tuple(methods), variant=variant)  # fmt: skip
     out.print(shown)
+    for (method, key), power in scaling_runs.exponents(rows).items():
+        out.print(f"{method}: {key} grows with triangles^{power:.2f}", markup=False)
     if directory is not None:
-        out.print(str(results.write(directory, rows)), markup=False)
+        picture = directory / "scaling.png"
+        output.write_file(picture, lambda unfinished: scaling_runs.plot(rows, unfinished))
+        out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)
 
 
 @app.command()

@@ -8,25 +8,11 @@ class OptionError(ValueError):
 
 
 @dataclass(frozen=True)
-class Options:
-    """Properties of ``<integrator type="refscatter">``."""
+class Common:
+    """Properties of all integrators of the package."""
 
-    estimator: str = field(
-        default="curve",
-        metadata={"choices": ("curve", "interval", "point"), "meaning": "how light is summed along a segment"},
-    )
-    culling: str = field(
-        default="beams", metadata={"choices": ("beams", "spindle"), "meaning": "how triangles are found for a segment"}
-    )
     tolerance: float = field(
         default=0.01, metadata={"range": (0, 1), "meaning": "relative error of the image aimed at"}
-    )
-    samples: int = field(
-        default=0,
-        metadata={
-            "range": (0, 1 << 20),
-            "meaning": "samples per interval (interval) or camera segment (point); 0: as many as the tolerance asks for",
-        },
     )
     internal_bounces: int = field(
         default=4, metadata={"range": (0, 64), "meaning": "internal reflections of the camera ray"}
@@ -44,6 +30,41 @@ class Options:
     aovs: str = field(default="", metadata={"meaning": "extra channels, comma-separated names of AOVS"})
 
 
+@dataclass(frozen=True)
+class Options(Common):
+    """Properties of ``<integrator type="refscatter">``."""
+
+    estimator: str = field(
+        default="curve",
+        metadata={"choices": ("curve", "interval", "point"), "meaning": "how light is summed along a segment"},
+    )
+    culling: str = field(
+        default="beams", metadata={"choices": ("beams", "spindle"), "meaning": "how triangles are found for a segment"}
+    )
+    samples: int = field(
+        default=0,
+        metadata={
+            "range": (0, 1 << 20),
+            "meaning": "samples per interval (interval) or camera segment (point); 0: as many as the tolerance asks for",
+        },
+    )
+
+
+@dataclass(frozen=True)
+class PhotonOptions(Common):
+    """Properties of ``<integrator type="refscatter_photons">``."""
+
+    mode: str = field(
+        default="points", metadata={"choices": ("points", "beams"), "meaning": "what is stored of photons"}
+    )
+    photons: int = field(default=50000, metadata={"range": (1, 1 << 26), "meaning": "photons per pass"})
+    radius: float = field(
+        default=0.0,
+        metadata={"range": (0, 1e30), "meaning": "around points and beams; 0: a hundredth of a body's size"},
+    )
+    alpha: float = field(default=1.0, metadata={"range": (0, 1), "meaning": "how the radius shrinks from pass to pass"})
+
+
 AOVS = {
     "single_scatter": ("single_scatter.R", "single_scatter.G", "single_scatter.B"),
     "surfaces": ("surfaces.R", "surfaces.G", "surfaces.B"),
@@ -54,33 +75,33 @@ AOVS = {
 """Extra outputs and their channels."""
 
 
-def read(props):
-    """Reads ``Options`` from ``mi.Properties``; raises ``OptionError`` for a wrong type or value."""
-    values = {}
-    for option in fields(Options):
+def read(props, kind=Options):
+    """Reads options of a ``kind`` from ``mi.Properties``; raises ``OptionError`` for a wrong type or value."""
+    plugin, values = props.plugin_name(), {}
+    for option in fields(kind):
         if option.name not in props:
             continue
-        value, kind = props[option.name], type(option.default)
-        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value, expected = props[option.name], type(option.default)
+        if expected is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        if type(value) is not kind:
+        if type(value) is not expected:
             raise OptionError(
-                f'refscatter: property "{option.name}" has the value {value!r}: it must be of type {_KINDS[kind]}'
+                f'{plugin}: property "{option.name}" has the value {value!r}: it must be of type {_KINDS[expected]}'
             )
         choices, bounds = option.metadata.get("choices"), option.metadata.get("range")
         if choices and value not in choices:
-            raise OptionError(f'refscatter: property "{option.name}" is {value!r}: it must be {" or ".join(choices)}')
+            raise OptionError(f'{plugin}: property "{option.name}" is {value!r}: it must be {" or ".join(choices)}')
         if bounds and not bounds[0] <= value <= bounds[1]:
             raise OptionError(
-                f'refscatter: property "{option.name}" is {value}: it must lie in [{bounds[0]}, {bounds[1]}]'
+                f'{plugin}: property "{option.name}" is {value}: it must lie in [{bounds[0]}, {bounds[1]}]'
             )
         values[option.name] = value
-    options = Options(**values)
-    if options.samples and options.estimator == "curve":
+    options = kind(**values)
+    if isinstance(options, Options) and options.samples and options.estimator == "curve":
         raise OptionError('refscatter: property "samples" has no meaning for the estimator curve: remove it')
     for name in aov_list(options):
         if name not in AOVS:
-            raise OptionError(f'refscatter: property "aovs" names {name!r}: known are {", ".join(AOVS)}')
+            raise OptionError(f'{plugin}: property "aovs" names {name!r}: known are {", ".join(AOVS)}')
     return options
 
 

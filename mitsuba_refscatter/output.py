@@ -73,15 +73,17 @@ def exposure(rgb: np.ndarray) -> float:
     return float(PNG_LEVEL / np.percentile(lit, PNG_PERCENTILE)) if lit.size else 1.0
 
 
-def tone_map(rgb: np.ndarray) -> np.ndarray:
-    """Return 8-bit sRGB: the linear image times ``exposure``, clipped, then the sRGB curve. Non-finite is black."""
+def tone_map(rgb: np.ndarray, factor: Optional[float] = None) -> np.ndarray:
+    """Return 8-bit sRGB: the linear image times ``factor`` (None: its ``exposure``), clipped, then the sRGB curve. Non-finite
+    is black."""
     rgb = np.asarray(rgb, dtype=np.float64)
-    linear = np.clip(np.nan_to_num(rgb * exposure(rgb), nan=0.0, posinf=0.0, neginf=0.0), 0.0, 1.0)
+    factor = exposure(rgb) if factor is None else factor
+    linear = np.clip(np.nan_to_num(rgb * factor, nan=0.0, posinf=0.0, neginf=0.0), 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
     return np.round(255.0 * encoded).astype(np.uint8)
 
 
-def _rgb(bitmap) -> Optional[np.ndarray]:
+def rgb_of(bitmap) -> Optional[np.ndarray]:
     """The main image of a bitmap as linear RGB, or None if it has none (a film of raw spectral channels)."""
     import mitsuba as mi
 
@@ -92,24 +94,24 @@ def _rgb(bitmap) -> Optional[np.ndarray]:
     return np.array(main.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False))
 
 
-def write_image(path, image) -> tuple[Path, Optional[Path]]:
+def write_image(path, image, factor: Optional[float] = None) -> tuple[Path, Optional[Path]]:
     """Write ``image`` to ``path`` (EXR, all channels with their names) and a PNG beside it.
 
     ``image`` is a ``mi.Bitmap`` (``film.bitmap()``) or an array (height, width, 1 to 4). Both
     files are written under hidden names and renamed at the end, so that a failure leaves
-    earlier pictures as they were. The PNG shows the 97th percentile of the luminance of lit
-    pixels at 0.8, in sRGB; there is none (None) if the image has no RGB or grey channels.
+    earlier pictures as they were. The PNG shows the image times ``factor`` (None: the 97th percentile of
+    the luminance of lit pixels at 0.8), in sRGB; there is none (None) if the image has no RGB or grey channels.
     Returns the two paths.
     """
     import mitsuba as mi
 
     path = target(path)
     bitmap = image if isinstance(image, mi.Bitmap) else mi.Bitmap(np.asarray(image, dtype=np.float32))
-    rgb = _rgb(bitmap)
+    rgb = rgb_of(bitmap)
     write_file(path, lambda unfinished: bitmap.write(str(unfinished)))
     if rgb is None:
         return path, None
     png = path.with_suffix(".png")
-    shown = mi.Bitmap(tone_map(rgb))
+    shown = mi.Bitmap(tone_map(rgb, factor))
     write_file(png, lambda unfinished: shown.write(str(unfinished)))
     return path, png

@@ -7,20 +7,27 @@ import mitsuba as mi
 
 from . import platform
 
-_MODULE = "mitsuba_refscatter.integrators.refscatter"
+_PLUGINS = {
+    "refscatter": ("refscatter", "RefscatterIntegrator"),
+    "refscatter_straight": ("straight_line", "StraightIntegrator"),
+    "refscatter_photons": ("photons", "PhotonIntegrator"),
+}
+"""Name of each plugin: its module in ``integrators``, after those that it needs, and its class."""
 
 
 def _register(*_):
-    """Makes the integrator class under the current variant; under others registers a clear refusal."""
+    """Makes the integrator classes under the current variant; under others registers a clear refusal."""
     variant = mi.variant()
     if variant is None:
         return
-    if platform.is_supported(variant):
-        loaded = sys.modules.get(_MODULE)
-        module = importlib.reload(loaded) if loaded else importlib.import_module(_MODULE)
-        mi.register_integrator("refscatter", lambda props: module.RefscatterIntegrator(props))
-    else:
-        mi.register_integrator("refscatter", lambda props: platform.require_usable(variant))
+    for name, (where, kind) in _PLUGINS.items():
+        if platform.is_supported(variant):
+            path = f"mitsuba_refscatter.integrators.{where}"
+            loaded = sys.modules.get(path)
+            module = importlib.reload(loaded) if loaded else importlib.import_module(path)
+            mi.register_integrator(name, getattr(module, kind))
+        else:
+            mi.register_integrator(name, lambda props: platform.require_usable(variant))
 
 
 def register():

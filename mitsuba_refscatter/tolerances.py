@@ -79,6 +79,12 @@ TURN = 0.3
 """Largest difference between the refracted directions at the corners of a beam, in radians: the cosines and the
 transmittance are then good to a few 1e-3."""
 
+UNAIMED = 0.05
+"""Share of the photons that go to a boundary evenly where the light on its triangles is known by samples alone."""
+
+BEAM_PARTS = 32.0
+"""Parts into which a photon beam as long as its body is cut for the tree."""
+
 NEAREST = 1e-3
 """Smallest distance of the light from a camera segment's line, relative to its length, that sampling assumes."""
 

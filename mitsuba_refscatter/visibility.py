@@ -49,6 +49,16 @@ class Shadows:
         ray.maxt = length * (1 - tolerances.SHADOW_END)
         return ~self.scene.mi_scene.ray_test(ray, active)
 
+    def reach(self, P, Ng, direction, most):
+        """How far light that comes in at P gets: to the first surface, or as far as ``most``, if that is not None."""
+        ray = mi.Ray3f(P - self.offset * Ng + self.centre, direction)
+        most = None if most is None else dr.opaque(mi.Float, most)
+        if most is not None:
+            ray.maxt = most
+        hit = self.scene.mi_scene.ray_intersect_preliminary(ray)
+        # In a closed body the only ones that meet nothing slip through an edge where they come in.
+        return dr.select(hit.is_valid(), hit.t, 0 if most is None else most)
+
     def seen(self, triangles):
         """Of the triangles (UInt32, scene's numbering): which to keep (indices), and which of these are
         proven to be lit everywhere. The others that are proven to be dark everywhere are left out."""

@@ -113,26 +113,53 @@ def _sweep(segments, culling, lighting, accuracy, estimator, detail, progress, p
     n = len(segments)
     sums, counts = Sums.nothing(n, detail), Counts(segments=n)
     work = Work(sums, segments, culling, lighting, accuracy, estimator)
-    start = 0
-    while start < n:
-        size = min(pace.segments, n - start)
-        lane, leaf, found = work.traverse(start, size)
-        if found > tolerances.CHUNK_PAIRS:
-            if size == 1:
-                raise RuntimeError(f"refscatter: one camera segment meets {found} leaves of the culling's tree, the buffer holds "
-                                   f"{tolerances.CHUNK_PAIRS}; raise tolerances.CHUNK_PAIRS")  # fmt: skip
-            pace.slower(size, found)
-            continue
-        pace.next(size, found)
+    for lane, leaf, found, done in chunks(n, work.traverse, pace):
         counts.leaves += found
         if found > 0:
             whole, parts = work.filter(lane, leaf, found)
             work.solve(whole)
             work.refine(parts)
-        start += size
         if progress is not None:
-            progress(start, n)
+            progress(done, n)
     return sums.first(n), counts
+
+
+def chunks(n, traverse, pace):
+    """Takes ``n`` camera segments through a tree, as many at once as the buffer holds pairs of.
+
+    ``traverse(start, size)``: as ``bvh.traverse`` with that many segments from ``start`` on. Yields its ``(segment, leaf, found)`` and
+    the number of segments that are done.
+    """
+    start = 0
+    while start < n:
+        size = min(pace.segments, n - start)
+        lane, leaf, found = traverse(start, size)
+        if found > tolerances.CHUNK_PAIRS:
+            if size == 1:
+                raise RuntimeError(f"refscatter: one camera segment meets {found} leaves of a tree, the buffer holds "
+                                   f"{tolerances.CHUNK_PAIRS}; raise tolerances.CHUNK_PAIRS")  # fmt: skip
+            pace.slower(size, found)
+            continue
+        pace.next(size, found)
+        start += size
+        yield lane, leaf, found, start
+
+
+def gather(segments, cloud, phase, directed, pace):
+    """Radiance (Spectrum per segment, per sigma_s) that a cloud of photons (``estimators.photons.Cloud``) scatters along every
+    segment."""
+    n = len(segments)
+    value = dr.zeros(mi.Spectrum, lanes.room(n))
+
+    def traverse(start, size):
+        index = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, size)
+        return bvh.traverse(cloud.tree, index, cloud.node_test(segments.gather(index)), tolerances.CHUNK_PAIRS)
+
+    for lane, leaf, found, _ in chunks(n, traverse, pace):
+        if found > 0:
+            i = dr.arange(mi.UInt32, found)
+            cloud.add(value, segments, lanes.gather(lane, i), lanes.gather(leaf, i), phase, directed)
+    return dr.gather(mi.Spectrum, value, dr.arange(mi.UInt32, n))
 
 
 @dataclass

@@ -32,12 +32,13 @@ def point_light(position, intensity=(10.0, 10.0, 10.0)):
     return {"type": "point", "position": [float(x) for x in position], "intensity": value}
 
 
-def single_scattering(scene, o, d, medium=None, **options):
-    """Radiance (n, 3) that ``refscatter`` finds along rays o, d (n, 3), which start in ``medium``, without surfaces."""
+def single_scattering(scene, o, d, medium=None, seed=0, **options):
+    """Radiance (n, 3) that ``refscatter`` (or another ``type``) finds along rays o, d (n, 3), which start in ``medium``, without
+    surfaces."""
     integrator = mi.load_dict({"type": "refscatter", "surfaces": False, **options})
     ray = mi.Ray3f(*(x(np.asarray(a, np.float32).T) for x, a in ((mi.Point3f, o), (mi.Vector3f, d))))
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(0, len(o))
+    sampler.seed(seed, len(o))
     return np.array(integrator.sample(scene, sampler, mi.RayDifferential3f(ray), medium)[0]).T
 
 

@@ -192,9 +192,19 @@ def test_scaling_measures_and_writes_results(tmp_path):
     assert done.returncode == 0, done.stderr
     data = json.loads((tmp_path / "results.json").read_text())
     assert data["schema"] == "refscatter-results-1" and data["machine"]["cores"] >= 1
-    assert [(row["method"], row["triangles"]) for row in data["rows"]] == [
-        (method, n) for n in (80, 320) for method in ("refscatter", "holzschuch2015", "walter2009", "volpath")
-    ]
+    methods = (
+        "refscatter",
+        "holzschuch2015",
+        "walter2009",
+        "photon_points",
+        "photon_beams",
+        "straight_line",
+        "volpath",
+    )
+    assert [(row["method"], row["triangles"]) for row in data["rows"]] == [(m, n) for n in (80, 320) for m in methods]
+    for method in methods:
+        assert f"{method}: wall_seconds grows with triangles^" in done.stdout
+    assert np.array(mi.Bitmap(str(tmp_path / "scaling.png"))).std() > 5
     ours = data["rows"][0]
     assert ours["wall_seconds"] > 0 and ours["relmse"] is None and ours["settings"]["surfaces"] is False
     assert ours["contributing_per_ray"] > 0 and ours["candidates_per_ray"] > 0

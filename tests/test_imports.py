@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parent.parent / "mitsuba_refscatter"
 ORDER = [
     "platform", "optics", "tolerances", "lanes", "sequence", "geometry", "scene", "visibility", "air", "solve", "culling",
     "estimators", "wavefront", "camera", "options", "film", "integrators", "plugin", "scenes", "output",
-    "compare", "meshcheck", "console", "measuring", "cli", "__main__",
+    "compare", "meshcheck", "console", "comparing", "measuring", "cli", "__main__",
 ]  # fmt: skip
 
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")

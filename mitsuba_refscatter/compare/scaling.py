@@ -14,11 +14,10 @@ from dataclasses import dataclass
 
 from .. import scenes as scene_files
 from . import results
-from .methods import METHODS
+from .methods import LIGHT_RADIUS, METHODS, depth, for_volpath
 
 SIZES = (1280, 5120, 20480, 81920, 327680)
-LIGHT_RADIUS = 0.1
-"""Radius of the sphere light that stands for the point light where ``volpath`` renders: it can't connect to a point."""
+OURS = tuple(method for method in METHODS if method != "volpath")
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Setup:
     repeats: int = 3
     internal_bounces: int = 0
     tolerance: float = 0.01
-    methods: tuple = tuple(METHODS)
+    methods: tuple = OURS
 
     def settings(self, method):
         common = {"surfaces": False, "internal_bounces": self.internal_bounces, "tolerance": self.tolerance}
@@ -57,22 +56,22 @@ def measure(setup):
     rows, render, images = [], {}, {}
     for method in setup.methods:
         settings = setup.settings(method)
-        integrator = mi.load_dict({"type": "refscatter", **settings})
+        integrator = mi.load_dict(settings)
         render[method] = lambda integrator=integrator: integrator.render(scene, spp=1)
         images[method] = np.array(render[method](), dtype=np.float64)
         # The first method's peak is its own; the others' are hidden behind it.
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 if not rows else None
-        candidates, contributions, rays = _pairs(scene, settings)
-        rows.append(_row(setup, triangles, method, settings, 1, rays=rays, candidates_per_ray=candidates / rays,
-                         contributing_per_ray=contributions / rays, peak_memory_bytes=memory))  # fmt: skip
-    exact = mi.load_dict({"type": "refscatter", **setup.settings("refscatter"), "tolerance": 0.0})
+        pairs = _pairs(scene, settings) if settings["type"] == "refscatter" else {}
+        rows.append({**_row(setup, triangles, method, settings, 1), **NO_PAIRS, **pairs, "peak_memory_bytes": memory})
+    exact = mi.load_dict({**setup.settings("refscatter"), "tolerance": 0.0})
     truth = np.array(exact.render(scene, spp=1), dtype=np.float64)
     for row in rows:
         row["mean_relative_error"] = np.abs(images[row["method"]] - truth).sum() / truth.sum()
-    reference = _volpath_scene(scene)
+    reference = for_volpath(scene)
     render["volpath"] = lambda: reference.integrator().render(reference, spp=setup.samples)
     render["volpath"]()
-    rows.append(_row(setup, triangles, "volpath", {"max_depth": 4, "light_radius": LIGHT_RADIUS}, setup.samples))
+    settings = {"type": "volpath", "max_depth": depth(scene.sensors()[0]), "light_radius": LIGHT_RADIUS}
+    rows.append(_row(setup, triangles, "volpath", settings, setup.samples))
     times = {method: [] for method in render}
     for _ in range(setup.repeats):
         for method, work in render.items():
@@ -87,12 +86,9 @@ def measure(setup):
     return rows
 
 
-def _row(setup, triangles, method, settings, samples, **more):
-    return {
-        **results.row(scene=setup.scene, method=method, variant=setup.variant, triangles=triangles,
-                      settings={**settings, "resolution": setup.resolution}, samples=samples),
-        **more,
-    }  # fmt: skip
+def _row(setup, triangles, method, settings, samples):
+    return results.row(scene=setup.scene, method=method, variant=setup.variant, triangles=triangles,
+                       settings={**settings, "resolution": setup.resolution}, samples=samples)  # fmt: skip
 
 
 def run(sizes, report=lambda rows: None, **setup):
@@ -106,33 +102,19 @@ def run(sizes, report=lambda rows: None, **setup):
     return rows
 
 
+NO_PAIRS = {"rays": None, "candidates_per_ray": None, "contributing_per_ray": None}
+
+
 def _pairs(scene, settings):
-    """Sums of candidate and of contributing pairs over the image, and the rays that enter the body."""
+    """Rays that enter the body, and the candidate and contributing pairs that each has in the mean."""
     import mitsuba as mi
     import numpy as np
 
-    integrator = mi.load_dict({"type": "refscatter", "aovs": "candidates,contributions", **settings})
+    integrator = mi.load_dict({**settings, "aovs": "candidates,contributions"})
     image = np.array(integrator.render(scene, spp=1), dtype=np.float64)
-    return image[..., -2].sum(), image[..., -1].sum(), max(integrator.counts.segments, 1)
-
-
-def _volpath_scene(scene):
-    """The same sensor and shapes, the point lights as small spheres of the same power, ``volpath``."""
-    import mitsuba as mi
-    import numpy as np
-
-    parts = {"type": "scene", "integrator": {"type": "volpath", "max_depth": 4}, "sensor": scene.sensors()[0]}
-    for i, shape in enumerate(scene.shapes()):
-        parts[f"shape{i}"] = shape
-    for i, emitter in enumerate(scene.emitters()):
-        parameters = mi.traverse(emitter)
-        intensity = np.array(parameters["intensity.value"]).ravel()
-        radiance = {"type": "rgb", "value": [float(x) / (np.pi * LIGHT_RADIUS**2) for x in intensity]}
-        parts[f"light{i}"] = {
-            "type": "sphere", "center": [float(x) for x in np.array(parameters["position"]).ravel()],
-            "radius": LIGHT_RADIUS, "emitter": {"type": "area", "radiance": radiance},
-        }  # fmt: skip
-    return mi.load_dict(parts)
+    rays = max(integrator.counts.segments, 1)
+    candidates, contributions = image[..., -2].sum() / rays, image[..., -1].sum() / rays
+    return {"rays": rays, "candidates_per_ray": candidates, "contributing_per_ray": contributions}
 
 
 def _clock(work):
@@ -143,3 +125,53 @@ def _clock(work):
     dr.eval(work())
     dr.sync_thread()
     return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def exponents(rows):
+    """Per method the power of the number of triangles with which wall time per sample grows, from two sizes on; and per kind
+    of pair that ``refscatter`` has."""
+    import numpy as np
+
+    out = {}
+    for method in dict.fromkeys(row["method"] for row in rows):
+        of_method = [row for row in rows if row["method"] == method]
+        for key in ("wall_seconds", "candidates_per_ray", "contributing_per_ray"):
+            points = [
+                (row["triangles"], row[key] / (row["samples"] if key == "wall_seconds" else 1))
+                for row in of_method
+                if row.get(key)
+            ]
+            if len({x for x, _ in points}) > 1:
+                out[method, key] = float(np.polyfit(*np.log(np.array(points).T), 1)[0])
+    return out
+
+
+def _pixels(row):
+    """Pixels of an image: its settings hold the edge, or width and height."""
+    resolution = row["settings"]["resolution"]
+    return resolution**2 if isinstance(resolution, int) else resolution[0] * resolution[1]
+
+
+def plot(rows, path):
+    """Draws wall time per pixel sample against the number of triangles, with each method's exponent; as PNG, to a path or
+    an open file."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    powers = exponents(rows)
+    figure, panel = pyplot.subplots(figsize=(7, 4.5), layout="constrained")
+    for method in dict.fromkeys(row["method"] for row in rows):
+        line = sorted(
+            (row["triangles"], row["wall_seconds"] / row["samples"] / _pixels(row))
+            for row in rows
+            if row["method"] == method
+        )
+        power = powers.get((method, "wall_seconds"))
+        panel.loglog(*zip(*line), marker="o", label=method if power is None else f"{method}: {power:.2f}")
+    panel.set(xlabel="triangles", ylabel="wall seconds per pixel sample")
+    panel.grid(alpha=0.3)
+    figure.legend(loc="outside right upper", title="exponent")
+    figure.savefig(path, dpi=120, format="png")
+    pyplot.close(figure)

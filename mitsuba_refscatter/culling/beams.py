@@ -132,8 +132,5 @@ def build(body, scene_records, light, bend, seen, clear):
 
 def _expand(level):
     """One entry per sub-triangle: index of its parent in ``level``, code, level."""
-    counts = 4 ** level.numpy().astype(np.int64)
-    parent = np.repeat(np.arange(len(counts)), counts)
-    code = np.arange(len(parent)) - np.repeat(np.cumsum(counts) - counts, counts)
-    parent = lanes.array(mi.UInt32, parent)
-    return parent, lanes.array(mi.UInt32, code), dr.gather(mi.UInt32, level, parent)
+    parent, code = lanes.repeat(4 ** level.numpy().astype(np.int64))
+    return parent, code, dr.gather(mi.UInt32, level, parent)

@@ -23,10 +23,10 @@ ESTIMATORS = {"curve": curve, "interval": interval, "point": point}
 
 class Prepared:
     """What one render needs to know of a scene, read once: records, accuracy, estimator, culling; and, where lights must be
-    drawn, the numbers that ``seed()`` gives."""
+    drawn, the numbers that ``seed()`` gives. ``straight``: whether light is never refracted."""
 
-    def __init__(self, scene, opt, seed):
-        self.scene = read(scene, opt.tolerance)
+    def __init__(self, scene, opt, seed, straight=False):
+        self.scene = read(scene, opt.tolerance, straight)
         self.accuracy = tolerances.accuracy(opt.tolerance)
         if opt.samples:
             self.accuracy = replace(
@@ -37,7 +37,7 @@ class Prepared:
         drawn = any(light.exact is None for light in self.scene.lights)
         self.sequence = Sequence(seed()) if drawn else None
 
-    def _once(self, make, *key):
+    def once(self, make, *key):
         """What ``make()`` makes at the first use of ``key``."""
         if key not in self._made:
             self._made[key] = make()
@@ -46,46 +46,57 @@ class Prepared:
     def start(self, medium, ray):
         """Index of the region in which camera rays start."""
         origin = np.array(dr.gather(mi.Point3f, mi.Point3f(ray.o), mi.UInt32(0))).ravel()
-        return self._once(lambda: region_of_camera(self.scene, medium, origin), "start")
+        return self.once(lambda: region_of_camera(self.scene, medium, origin), "start")
 
     def angle_panels(self, region):
         """``straight.angle_panels`` of a region's phase function."""
-        return self._once(lambda: straight.angle_panels(region.phase, self.accuracy), "panels", region.index)
+        return self.once(lambda: straight.angle_panels(region.phase, self.accuracy), "panels", region.index)
 
     def pace(self, body):
         """``wavefront.Pace`` for a body."""
-        return self._once(wavefront.Pace, "pace", body.first_record)
+        return self.once(wavefront.Pace, "pace", body.first_record)
+
+    def through_media(self, body):
+        """Whether light comes to a boundary through a medium or straight through other boundaries."""
+        outside = self.scene.regions[body.outside] if body.outside != lanes.NONE else None
+        return self.scene.straight is not None or (outside is not None and outside.medium is not None)
+
+    def shadows(self, body, light_point):
+        """``visibility.Shadows`` of a light point."""
+        source = light_point.source(dr.opaque(mi.Float, body.eta), dr.opaque(mi.Point3f, body.centre))
+        dr.eval(source.L)
+        return visibility.Shadows(self.scene, body, source, light_point.shape, self.through_media(body))
+
+    def lighting(self, body, region, light_point, shadows, wavelengths=None):
+        """``Lighting`` of light points in the region inside a boundary. ``wavelengths``: of the camera segments."""
+        centre = dr.opaque(mi.Point3f, body.centre)
+        source = light_point.source(dr.opaque(mi.Float, body.eta), centre)
+        emission = light_point.emission(centre, wavelengths)
+        if self.through_media(body):
+            emission = Arrival(emission, source, Air(self.scene, wavelengths), body)
+        side = (body.eta > 1) - (body.eta < 1)
+        return Lighting(source, side, region.phase, shadows.lit, shadows.inside, emission, region.directed)
 
     def lit(self, body, region, light_point, wavelengths=None, key=None):
         """``(lighting, culling)`` of a light point in the region inside a boundary, made once per ``key`` if that is given; the
-        culling is None if nothing is lit. ``wavelengths``: of the camera segments."""
-        centre = dr.opaque(mi.Point3f, body.centre)
-        source = light_point.source(dr.opaque(mi.Float, body.eta), centre)
-        in_air = self.scene.straight is not None or (
-            body.outside != lanes.NONE and self.scene.regions[body.outside].medium is not None
-        )
+        culling is None if nothing is lit."""
 
         def make():
-            dr.eval(source.L)
-            shadows = visibility.Shadows(self.scene, body, source, light_point.shape, in_air)
-            return shadows, self._culling(body, source, shadows)
+            shadows = self.shadows(body, light_point)
+            return shadows, self._culling(body, shadows.light, shadows)
 
-        shadows, culling = make() if key is None else self._once(make, "lit", body.first_record, key)
-        emission = light_point.emission(centre, wavelengths)
-        if in_air:
-            emission = Arrival(emission, source, Air(self.scene, wavelengths), body)
-        side = (body.eta > 1) - (body.eta < 1)
-        return Lighting(source, side, region.phase, shadows.lit, shadows.inside, emission, region.directed), culling
+        shadows, culling = make() if key is None else self.once(make, "lit", body.first_record, key)
+        return self.lighting(body, region, light_point, shadows, wavelengths), culling
 
     def _culling(self, body, source, shadows):
         records = self.scene.records
         if self.culling == "spindle":
-            return self._once(lambda: Spindle(body, records), "spindle", body.first_record)
+            return self.once(lambda: Spindle(body, records), "spindle", body.first_record)
         clear = None
         if shadows.may_prove_inside:
             corners = body.corners - body.centre
             first = body.first_record
-            clear = self._once(lambda: Clearance(records, first, corners), "clearance", first).clear
+            clear = self.once(lambda: Clearance(records, first, corners), "clearance", first).clear
         return light_beams.build(body, records, source, self.accuracy.bend, shadows.seen, clear)
 
 
@@ -161,24 +172,28 @@ class Stretch:
         return Segments(self.o - mi.Point3f(dr.opaque(mi.Point3f, centre)), self.d, self.t_max, sigma_t)
 
 
-def scatter(prepared, paths, ray, n, batch, seed, detail, progress):
+def stretch_of(paths, region, ray):
+    """``Stretch`` of all segments in a region."""
+    o, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[region.index]))
+    return Stretch(o, d, t_max, weight, sample, lanes.of(ray.wavelengths, sample))
+
+
+def scatter(prepared, paths, ray, n, batch, seed, detail, progress, refracted=True):
     """Single scattering of all lights along all segments of the camera paths: ``Sums`` per camera sample, with the
-    radiance itself as ``value``."""
+    radiance itself as ``value``. ``refracted``: whether light that comes through refracting boundaries is summed, too."""
     scene, single = prepared.scene, Sums.nothing(n, detail)
     regions = [region for region in scene.regions if paths.segments[region.index]]
     work = (
         [(region, turn) for turn in turns(prepared, n, ray.wavelengths, batch) for region in regions] if regions else []
     )
-    stretches = {}
+    stretches = {region.index: stretch_of(paths, region, ray) for region in regions}
     for i, (region, turn) in enumerate(work):
-        if region.index not in stretches:
-            o, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[region.index]))
-            stretches[region.index] = Stretch(o, d, t_max, weight, sample, lanes.of(ray.wavelengths, sample))
         taken = stretches[region.index].taking(turn)
         if taken is None:
             continue
         report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
-        _refracted(prepared, region, turn.light, *taken, single, seed + i, detail, report)
+        if refracted:
+            _refracted(prepared, region, turn.light, *taken, single, seed + i, detail, report)
         if goes_straight(scene, region, turn.light, taken[1]):
             _straight(prepared, region, *taken, single)
     return single.first(n)

@@ -5,7 +5,7 @@ import mitsuba as mi
 
 from .. import camera, film, lanes, options, platform, wavefront
 from ..scene import REFUSED, SceneError, refuse_gradients
-from ..sequence import Batch
+from ..sequence import Batch, Sequence
 from .lit import Prepared, scatter
 
 NESTED_WITH_MEDIA = ("Volumetric", "VolpathMis", "PRBVolpath", "Refscatter")
@@ -75,12 +75,15 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
       segment (``culling.spindle``).
     """
 
+    known = options.Options
+    """What its properties are read as."""
+
     def __init__(self, props):
         super().__init__(props)
         platform.require_usable(mi.variant())
-        self.options = options.read(props)
+        self.options = options.read(props, self.known)
         self.nested = _nested(props, self.hide_emitters)
-        self.progress = None
+        self.progress = self.watch = None  # for ``film.render``
         self.counts = wavefront.Counts()
 
     def aov_names(self):
@@ -88,7 +91,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
 
     def to_string(self):
         inside = ", ".join(f"{key} = {value}" for key, value in vars(self.options).items())
-        return f"RefscatterIntegrator[{inside}]"
+        return f"{type(self).__name__}[{inside}]"
 
     def sample(self, scene, sampler, ray, medium=None, active=True):
         """Radiance along the rays. Evaluates kernels, so it cannot be part of a symbolic loop or call."""
@@ -96,7 +99,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             raise RuntimeError("refscatter cannot run inside a symbolic loop or call: call it on evaluated rays")
         refuse_gradients(scene)
         with dr.suspend_grad():
-            prepared = Prepared(scene, self.options, lambda: seed_from(sampler))
+            prepared = self.prepare(scene, lambda: seed_from(sampler))
             return self._sample(prepared, medium, sampler, ray, mi.Spectrum(1), active, Batch(), None)
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
@@ -107,11 +110,22 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             sensor = scene.sensors()[sensor]
         refuse_gradients(scene)
         with dr.suspend_grad():
-            prepared = Prepared(scene, self.options, lambda: int(mi.UInt32(seed)[0]))
+            prepared = self.prepare(scene, lambda: int(mi.UInt32(seed)[0]))
             self.counts = prepared.counts
-            medium = sensor.get_medium()
-            return film.render(lambda *a: self._sample(prepared, medium, *a), sensor, seed, spp, prepared.sequence,
-                               self.aov_names(), develop, evaluate, self.progress)  # fmt: skip
+            medium, sequence = sensor.get_medium(), prepared.sequence
+            if self.watch is not None:  # then the number of samples is not known, and samplers stratify for a known one
+                sequence = sequence or Sequence(int(mi.UInt32(seed)[0]))
+            return film.render(lambda *a: self._sample(prepared, medium, *a), sensor, seed, spp, sequence,
+                               self.aov_names(), develop, evaluate, self.progress, self.watch)  # fmt: skip
+
+    def prepare(self, scene, seed):
+        """``Prepared`` for a scene; ``seed()`` gives the seed of its random numbers."""
+        return Prepared(scene, self.options, seed)
+
+    def scatter(self, prepared, paths, ray, n, batch, sampler, detail, progress):
+        """``Sums`` of single scattering along the camera paths, per camera sample."""
+        seed = seed_from(sampler) if self.options.estimator == "point" else 0
+        return scatter(prepared, paths, ray, n, batch, seed, detail, progress)
 
     def _sample(self, prepared, medium, sampler, ray, ray_weight, active, batch, progress):
         """One wavefront of camera rays: chain, single scattering along it, surfaces at its ends.
@@ -126,9 +140,8 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         paths = camera.trace(
             prepared.scene, ray, active, start, opt.internal_bounces, opt.surfaces, prepared.accuracy.weight
         )
-        seed = seed_from(sampler) if opt.estimator == "point" else 0
-        single = scatter(prepared, paths, ray, n, batch, seed, detail=bool({"candidates", "contributions", "unresolved"} & set(wanted)),
-                         progress=progress)  # fmt: skip
+        detail = bool({"candidates", "contributions", "unresolved"} & set(wanted))
+        single = self.scatter(prepared, paths, ray, n, batch, sampler, detail, progress)
         shown, hit = mi.Spectrum(0), paths.hit
         if opt.surfaces:
             shown, hit = shade(self.nested, prepared.scene.mi_scene, paths, sampler, ray, n)

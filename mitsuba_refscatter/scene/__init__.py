@@ -16,6 +16,10 @@ from .errors import SceneError, name_shape
 from .regions import Regions
 from .support import REFUSED, refusal
 
+ONCE = 1 << 16
+"""What a boundary counts for that light may go straight through only if it is the only such one: there are no light paths
+through several refracting boundaries, straight or not."""
+
 
 @dataclass
 class Scene:
@@ -24,7 +28,8 @@ class Scene:
     ``mi_scene``: Mitsuba's, in which every boundary is a mesh of its own; ``records``: the packed triangles of all
     bodies, each in its body's coordinates; ``body_of_shape``, ``eta``, ``first_record``, ``centre``, ``extent``,
     ``inside``, ``outside``: tables for lookups in kernels, as ``index2`` and ``owner`` by region: square of the index of refraction
-    relative to the outermost, and the closed body whose inside it is, or NONE; ``thin``, ``straight``: the same where some boundary is, else None;
+    relative to the outermost, and the closed body whose inside it is, or NONE; ``thin``, ``straight``: the same where some boundary is, else
+    None (``straight``: what crossing it counts for, 1 or ``ONCE``; 0 if light can't); ``passed``: the bodies that light goes straight through;
     ``others``: the shapes that are no bodies; ``mirrors``: largest coordinates of those that are mirrors, or None.
     """
 
@@ -44,6 +49,7 @@ class Scene:
     owner: object
     thin: object
     straight: object
+    passed: list
     others: list
     mirrors: object
 
@@ -85,9 +91,10 @@ class Scene:
         return self.mirror_extent(shape) > 0
 
 
-def read(scene, tolerance):
-    """Reads a ``mi.Scene``; ``tolerance``: relative error of the image that replacing curved shapes by meshes may cause.
-    Raises ``SceneError`` for what cannot be rendered."""
+def read(scene, tolerance, straight=False):
+    """Reads a ``mi.Scene``; ``tolerance``: relative error of the image that replacing curved shapes by meshes may cause;
+    ``straight``: whether light goes straight through all boundaries, as if they were ``null`` (camera rays are refracted all
+    the same). Raises ``SceneError`` for what cannot be rendered."""
     scene = shapes.expand(scene, lambda shape: body_reader.kind_of(shape) is not None, tolerance)
     bodies, others, kinds = [], [], [body_reader.kind_of(shape) for shape in scene.shapes()]
     for shape, kind in zip(scene.shapes(), kinds):
@@ -100,7 +107,8 @@ def read(scene, tolerance):
         raise SceneError("the scene has no body with a medium, so there is no scattering to compute: give a mesh a "
                          "<bsdf type=\"dielectric\"/> and a <medium name=\"interior\" type=\"homogeneous\"/>")  # fmt: skip
     lights = light_reader.read(scene, bodies, any(region.scatters for region in regions))
-    packed = bodies + _boundaries(bodies, regions, lights)
+    passed = [body for body in bodies if straight or not body.refracts]
+    packed = bodies + _boundaries(bodies, passed, regions, lights)
     return Scene(
         mi_scene=scene, bodies=bodies, regions=regions, lights=lights,
         records=lanes.array(mi.Float, np.concatenate([body.packed() for body in packed] or [np.zeros(24)])),
@@ -112,7 +120,8 @@ def read(scene, tolerance):
         index2=lanes.array(mi.Float, np.square(_indices(bodies, regions))),
         owner=lanes.array(mi.UInt32, [NONE if region.body is None else region.body.index for region in regions]),
         thin=_where(body.kind == "thin" for body in bodies),
-        straight=_where(not body.refracts for body in bodies),
+        straight=lanes.array(mi.UInt32, [(body in passed) * (ONCE if body.refracts else 1) for body in bodies]) if passed else None,
+        passed=passed,
         others=others,
         mirrors=_per_shape(scene, mi.Float, 0, {_shape_id(shape): _extent(shape) for shape in others if _is_mirror(shape)})
         if any(map(_is_mirror, others)) else None,
@@ -165,13 +174,13 @@ def _is_mirror(shape):
     return not any(mi.has_flag(bsdf.flags(), x) for x in (flag.Smooth, flag.Transmission, flag.Null))
 
 
-def _boundaries(bodies, regions, lights):
+def _boundaries(bodies, passed, regions, lights):
     """Gives regions their refracting boundaries, and sets which of them admit light straight. Returns the bodies whose triangles must be
     packed besides those of ``bodies``: boundaries seen from their other side."""
     turned, next_record = [], sum(body.triangle_count for body in bodies)
     for body in bodies:
         inside, outside = (None if i == NONE else regions[i] for i in (body.inside, body.outside))
-        if not body.refracts:
+        if body in passed:
             for region in (inside, outside):
                 if region is not None:
                     region.admits = True
@@ -183,8 +192,8 @@ def _boundaries(bodies, regions, lights):
             next_record += body.triangle_count
             turned.append(other)
             outside.boundaries.append(other.reaches(outside.reach or outside.body.size))
-    for body in bodies:
-        if not body.refracts and body.outside != NONE and regions[body.outside].boundaries:
+    for body in passed:
+        if body.outside != NONE and regions[body.outside].boundaries:
             raise refusal("straight inside", body.name, other=regions[body.outside].boundaries[0].name)
     return turned
 
@@ -231,5 +240,5 @@ def refuse_gradients(scene):
 
 
 __all__ = [
-    "NONE", "REFUSED", "Scene", "SceneError", "holds", "name_shape", "read", "refusal", "refuse_gradients", "region_of_camera",
+    "NONE", "ONCE", "REFUSED", "Scene", "SceneError", "holds", "name_shape", "read", "refusal", "refuse_gradients", "region_of_camera",
 ]  # fmt: skip

@@ -19,7 +19,7 @@ FLUSH = 1e-4
 """Share of its distance from the middle by which a corner is moved inwards before it is asked what encloses it."""
 
 
-@dataclass
+@dataclass(eq=False)
 class Body:
     """A triangle mesh that is the boundary between two regions: ``inside`` it, behind the normals, and ``outside``.
 

@@ -1,0 +1,191 @@
+"""Methods side by side on one scene: each renders for the same time, and its error is followed on the way.
+
+All but ``volpath`` render in passes of one sample per pixel at the same places in the pixels; the photon methods send new
+photons in each. ``volpath`` renders with other seeds again and again; the same render with albedo 0 is subtracted (what is
+not scattered in the media), and not timed. Clocks stand still while images are compared.
+"""
+
+import time
+from dataclasses import dataclass, field
+
+from . import methods, metrics
+
+REFERENCE_TOLERANCE = 1e-4
+REFERENCE_TIME = 4.0
+"""Time of the reference relative to that of a method."""
+REFERENCE_SEED = 1000
+"""Other places in the pixels than those of the methods."""
+LONGEST = 8.0
+"""Time relative to the given one that a method gets to reach the quality of the first, before it is extrapolated."""
+STEPS = 32
+"""Renders of ``volpath`` in the given time, about."""
+GROWTH = 1.1
+"""Factor of time between two errors of a curve."""
+ENDLESS = 1 << 20
+"""Samples per pixel that no run comes to."""
+MOST = 1024
+"""Samples per pixel in one render of ``volpath``."""
+FLAT = 0.25
+"""Least power of time with which an error must fall for its curve to be extrapolated."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What all methods have in common."""
+
+    variant: str
+    seconds: float = 10.0
+    internal_bounces: int = 0
+    tolerance: float = 0.01
+    equal_quality: bool = False
+
+    @property
+    def common(self):
+        return {"surfaces": False, "internal_bounces": self.internal_bounces, "tolerance": self.tolerance}
+
+
+@dataclass
+class Run:
+    """What a method did. ``curve``: (wall seconds, relMSE) on the way; ``image`` after the time was up."""
+
+    method: str
+    settings: dict
+    image: object = None
+    samples: int = 0
+    wall_seconds: float = 0.0
+    cpu_seconds: float = 0.0
+    warm_up_seconds: float = 0.0
+    curve: list = field(default_factory=list)
+
+
+class _Clock:
+    """Wall and CPU time, but for pauses."""
+
+    def __init__(self):
+        self.wall = self.cpu = 0.0
+        self._since = 0.0, 0.0
+
+    def go_on(self):
+        self._since = time.perf_counter(), time.process_time()
+
+    def pause(self):
+        import drjit as dr
+
+        dr.sync_thread()
+        self.wall += time.perf_counter() - self._since[0]
+        self.cpu += time.process_time() - self._since[1]
+
+
+class _Follower:
+    """Follows a run: notes errors as often as a logarithmic plot shows, keeps the image that there is when the ``seconds`` are
+    over, and ends it there; or, where an error is ``wanted``, once that is reached or ``LONGEST`` is over."""
+
+    def __init__(self, run, reference, seconds, wanted, report):
+        self.run, self.reference, self.seconds, self.wanted, self.report = run, reference, seconds, wanted, report
+        self.clock, self.next, self.error = _Clock(), 0.0, float("inf")
+        self.clock.go_on()
+
+    def __call__(self, samples, image):
+        """Takes the image after ``samples``; whether to go on."""
+        run, clock = self.run, self.clock
+        clock.pause()
+        over, kept = clock.wall >= self.seconds, run.wall_seconds >= self.seconds
+        if clock.wall >= self.next or (over and not kept):
+            array = _array(image)
+            if self.reference is not None:
+                self.error = metrics.relmse(array, self.reference)
+                run.curve.append((clock.wall, self.error))
+            if not kept:
+                run.image, run.samples, run.wall_seconds, run.cpu_seconds = array, samples, clock.wall, clock.cpu
+            self.next = clock.wall * GROWTH
+        self.report(min(clock.wall / self.seconds, 1.0))
+        reached = self.wanted is None or self.error <= self.wanted or clock.wall >= LONGEST * self.seconds
+        clock.go_on()
+        return not (over and reached)
+
+
+def _array(image):
+    import numpy as np
+
+    return np.array(image, dtype=np.float64)[..., :3]
+
+
+def reference(scene, setup, report=lambda fraction: None):
+    """The image that errors are measured against: a long run of ``curve``. Returns a ``Run``."""
+    settings = {**methods.METHODS["refscatter"], **setup.common, "tolerance": REFERENCE_TOLERANCE}
+    return _ours(scene, Run("reference", settings), None, REFERENCE_TIME * setup.seconds, None, report, REFERENCE_SEED)
+
+
+def run(scene, clear, method, setup, truth, wanted=None, report=lambda fraction: None):
+    """One method. ``clear``: the same scene without scattering, for ``volpath``; ``truth``: the reference's image; ``wanted``:
+    relMSE to go on to. Returns a ``Run``."""
+    if method == "volpath":
+        return _volpath(scene, clear, setup, truth, wanted, report)
+    settings = {**methods.METHODS[method], **setup.common}
+    return _ours(scene, Run(method, settings), truth, setup.seconds, wanted, report)
+
+
+def _ours(scene, run, truth, seconds, wanted, report, seed=1):
+    """A method of this package."""
+    import mitsuba as mi
+
+    integrator, start = mi.load_dict(run.settings), time.perf_counter()
+    integrator.watch = lambda samples, image: samples < 2
+    integrator.render(scene, seed=0, spp=ENDLESS)
+    run.warm_up_seconds = time.perf_counter() - start
+    integrator.watch = _Follower(run, truth, seconds, wanted, report)
+    integrator.render(scene, seed=seed, spp=ENDLESS)
+    return run
+
+
+def _volpath(scene, clear, setup, truth, wanted, report):
+    """``volpath``, in renders of as many samples as make about ``STEPS`` in the given time."""
+    integrator = scene.integrator()
+    run = Run(
+        "volpath",
+        {"type": "volpath", "max_depth": methods.depth(scene.sensors()[0]), "light_radius": methods.LIGHT_RADIUS},
+    )
+    start = time.perf_counter()
+    for warm_up in (scene, clear):
+        integrator.render(warm_up, seed=0, spp=1)
+    run.warm_up_seconds, samples = time.perf_counter() - start, 1
+    while _timed(integrator, scene, samples) < setup.seconds / STEPS and samples < MOST:
+        samples *= 2
+    follower, total, seed, more = _Follower(run, truth, setup.seconds, wanted, report), 0.0, 1, True
+    while more:
+        image = integrator.render(scene, seed=seed, spp=samples)
+        follower.clock.pause()
+        total = total + _array(image) - _array(integrator.render(clear, seed=seed, spp=samples))
+        follower.clock.go_on()
+        more = follower(seed * samples, total / seed)
+        seed += 1
+    return run
+
+
+def _timed(integrator, scene, samples):
+    import drjit as dr
+
+    start = time.perf_counter()
+    integrator.render(scene, seed=0, spp=samples)
+    dr.sync_thread()
+    return time.perf_counter() - start
+
+
+def seconds_to(curve, error):
+    """When a curve of (seconds, error) is at an error for good, and whether that was extrapolated: with the power of time by
+    which it fell over the last eighth of the time onwards. ``(None, True)`` where it hardly falls."""
+    import numpy as np
+
+    t, e = np.array(curve).T
+    above = np.flatnonzero(e > error)
+    if len(above) == 0:
+        return float(t[0]), False
+    k = above[-1]
+    if k + 1 < len(t):
+        share = np.log(e[k] / error) / np.log(e[k] / e[k + 1])
+        return float(t[k] * (t[k + 1] / t[k]) ** share), False
+    late = t >= t[-1] / 8
+    if late.sum() < 3:
+        return None, True
+    power = -np.polyfit(np.log(t[late]), np.log(e[late]), 1)[0]
+    return (float(t[-1] * (e[-1] / error) ** (1 / power)) if power > FLAT else None), True

@@ -1,0 +1,131 @@
+"""The Mitsuba plugin ``refscatter_photons``. Reloaded by ``plugin.py`` for every variant."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import lanes, options, wavefront
+from ..estimators import photons
+from ..scene import media
+from .lit import Prepared, scatter, stretch_of
+from .refscatter import RefscatterIntegrator, seed_from
+
+RADIUS = 0.01
+"""Default radius relative to a body's size."""
+
+PILOTS = 16
+"""Light points by which photons of a light that is no point or direction are aimed."""
+
+
+class PhotonIntegrator(RefscatterIntegrator):
+    """Single scattering by photons: noise and blur instead of solving, to compare with.
+
+    In each pass (of camera samples, at most 262,144) new photons are sent from the lights to the bodies' boundaries, all of
+    them where they are lit, and refracted in. Light that comes without refraction is summed as by ``refscatter``.
+    With the radius r of the first pass and Gamma-like products r_i those of the later ones, after Knaus and Zwicker (2011):
+    r_i+1^2 / r_i^2 = (i + alpha) / (i + 1) for points, r_i+1 / r_i for beams (Jarosz et al. 2011, progressive photon beams).
+    Not in spectral variants: photons and camera rays have no wavelengths in common.
+
+    .. pluginparameters::
+
+     * - mode
+       - |string|
+       - ``points``: photons are stored where they scatter, and their density is estimated along the camera ray (the beam
+         radiance estimate, Jarosz et al. 2008). ``beams``: their whole paths in the medium are stored, and meet the camera
+         rays (photon beams, Jarosz et al. 2011, one-dimensional blur). (Default: points)
+     * - photons
+       - |int|
+       - Photons per pass. (Default: 50000)
+     * - radius
+       - |float|
+       - Of the disks and beams, in the scene's unit of length, in the first pass; 0: a hundredth of the diagonal of the
+         body's box. (Default: 0)
+     * - alpha
+       - |float|
+       - 1: the radius stays; in (0, 1) it shrinks from pass to pass, so that bias and variance both vanish. (Default: 1)
+     * - tolerance, internal_bounces, light_samples, surfaces, aovs, (Nested plugin)
+       -
+       - As of ``refscatter``; ``tolerance`` is that of light which comes without refraction.
+
+    .. code-block:: python
+
+        'type': 'refscatter_photons', 'mode': 'beams', 'photons': 20000, 'alpha': 0.7
+    """
+
+    known = options.PhotonOptions
+
+    def __init__(self, props):
+        super().__init__(props)
+        if mi.is_spectral:
+            raise options.OptionError("refscatter_photons: photons have no wavelengths in common with camera rays: use an "
+                                      "rgb or mono variant")  # fmt: skip
+
+    def prepare(self, scene, seed):
+        common = {name: getattr(self.options, name) for name in vars(options.Common())}
+        return Prepared(scene, options.Options(**common), seed)
+
+    def scatter(self, prepared, paths, ray, n, batch, sampler, detail, progress):
+        single = scatter(prepared, paths, ray, n, batch, 0, detail, None, refracted=False)
+        rng = np.random.default_rng(seed_from(sampler))
+        number = batch.first // batch.per_pixel
+        for region in prepared.scene.regions:
+            if not paths.segments[region.index]:
+                continue
+            stretch = stretch_of(paths, region, ray)
+            sigma_s, sigma_t = region.coefficients(stretch.wavelengths, stretch.d)
+            for body in region.boundaries:
+                cloud = self._cloud(prepared, region, body, number, rng)
+                if cloud is not None:
+                    segments = stretch.segments(body.centre, sigma_t)
+                    value = wavefront.gather(segments, cloud, region.phase, region.directed, prepared.pace(body))
+                    dr.scatter_add(single.value, stretch.weight * sigma_s * value, stretch.sample)
+                    single.eval()
+        return single
+
+    def _cloud(self, prepared, region, body, number, rng):
+        """``photons.Cloud`` of all lights behind a boundary in pass ``number``; None if it is not lit."""
+        opt, lights, shot = self.options, prepared.scene.lights, []
+        targets = [prepared.once(lambda: _target(prepared, region, body, light), "target", body.first_record, light.index)
+                   for light in lights]  # fmt: skip
+        total = sum(target.flux for target in targets if target is not None)
+        for light, target in zip(lights, targets):
+            count = 0 if target is None else round(opt.photons * target.flux / total)
+            found = _shoot(prepared, region, body, light, target, count, rng) if count > 0 else None
+            if found is not None:
+                shot.append(found)
+        if not shot:
+            return None
+        found, lengths = photons.join([x[0] for x in shot]), lanes.concat([x[1] for x in shot])
+        sigma_t = region.coefficients(media.visible(), found.omega)[1]
+        radius = photons.radius_of(opt.radius or RADIUS * body.size, number, opt.alpha, opt.mode)
+        return photons.store(found, lengths, sigma_t, opt.mode == "beams", radius, body, _sampler(len(lengths), rng))
+
+
+def _target(prepared, region, body, light):
+    """``photons.Target`` that a boundary is to a light."""
+    rng, points = np.random.default_rng(0), [light.exact]
+    if light.exact is None:
+        points = [light.draw(dr.opaque(mi.Point2f, list(rng.random(2))), 1.0) for _ in range(PILOTS)]
+    shadows = prepared.shadows(body, points[0])
+    pilots = [
+        (prepared.lighting(body, region, p, shadows, media.visible()), p.intensity(media.visible())) for p in points
+    ]
+    return photons.aim(body, prepared.scene.records, pilots, light.exact is not None)
+
+
+def _shoot(prepared, region, body, light, target, count, rng):
+    """Photons of a light and how far they go in a body; None if none comes in."""
+    sampler, point = _sampler(count, rng), light.exact
+    if point is None:
+        point = light.draw(sampler.next_2d(), 1.0)
+    shadows = prepared.shadows(body, point)
+    lighting = prepared.lighting(body, region, point, shadows, media.visible())
+    tint = body.tint("specular_transmittance", media.visible())
+    found = photons.shoot(target, count, lighting, point.intensity(media.visible()) * tint, sampler)
+    return None if found is None else (found, shadows.reach(found.P, found.Ng, found.omega, region.reach))
+
+
+def _sampler(count, rng):
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(int(rng.integers(1 << 31)), count)
+    return sampler

@@ -1,0 +1,30 @@
+"""The Mitsuba plugin ``refscatter_straight``. Reloaded by ``plugin.py`` for every variant."""
+
+from .. import options
+from .lit import Prepared, scatter
+from .refscatter import RefscatterIntegrator
+
+
+class StraightIntegrator(RefscatterIntegrator):
+    """Single scattering of light that goes straight through boundaries, as production renderers approximate it: as if
+    each were ``null`` to light. Camera rays are refracted and reflected as by ``refscatter``; at eta = 1 both agree. So a
+    second refracting boundary on the way is a shadow here, too.
+
+    .. pluginparameters::
+
+     * - tolerance, internal_bounces, light_samples, surfaces, aovs, (Nested plugin)
+       -
+       - As of ``refscatter``. Light points are those of its culling ``beams``.
+
+    .. code-block:: python
+
+        'type': 'refscatter_straight', 'surfaces': False
+    """
+
+    known = options.Common
+
+    def prepare(self, scene, seed):
+        return Prepared(scene, options.Options(**vars(self.options)), seed, straight=True)
+
+    def scatter(self, prepared, paths, ray, n, batch, sampler, detail, progress):
+        return scatter(prepared, paths, ray, n, batch, 0, detail, progress, refracted=False)
