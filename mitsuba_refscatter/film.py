@@ -12,8 +12,8 @@ def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progres
 
     ``sample(sampler, ray, ray weight, active, batch, progress) -> (radiance, valid, extra channels)``; arguments as in
     Mitsuba's ``Integrator.render``. ``sequence``: that the places in the pixels are taken from (``Sequence``), or None
-    for those of the sampler. ``progress(fraction)`` may be None, and ``watch(samples, image)``, too: if not, passes are of one
-    sample per pixel, after each it gets the image so far and says whether to go on.
+    for those of the sampler. ``progress(fraction)`` may be None, and ``watch(samples, image)``, too: if not, the first pass is of
+    one sample per pixel, after each it gets the image so far and says how many are to be next (0: no more).
     """
     film, sampler = sensor.film(), sensor.sampler().clone()
     if spp:
@@ -22,24 +22,31 @@ def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progres
     border = film.rfilter().border_size() if film.sample_border() else 0
     size = film.crop_size() + 2 * border
     pixels = int(size[0]) * int(size[1])
-    per_pass = 1 if watch else _divisor(spp, max(1, tolerances.PASS_SAMPLES // pixels))
-    sampler.set_samples_per_wavefront(per_pass)
-    sampler.seed(seed, pixels * per_pass)
+    most = max(1, tolerances.PASS_SAMPLES // pixels)
     film.prepare(aovs)
-    block = film.create_block()
-    block.set_coalesce(block.coalesce() and per_pass >= 4)
-    passes = spp // per_pass
-    for k in range(passes):
-        batch = Batch(k * per_pass, per_pass)
+    block, done, per_pass, seeded = film.create_block(), 0, 1 if watch else _divisor(spp, most), 0
+    coalesce = block.coalesce()
+    while done < spp and per_pass > 0:
+        if per_pass != seeded:
+            if watch is not None:
+                sampler.set_sample_count(per_pass)
+            sampler.set_samples_per_wavefront(per_pass)
+            sampler.seed(seed if done == 0 else sample_seed(seed, done), pixels * per_pass)
+            block.set_coalesce(coalesce and per_pass >= 4)
+            seeded = per_pass
+        batch = Batch(done, per_pass)
         ray, weight, position = _rays(sensor, sampler, film, size, border, batch, sequence)
-        report = None if progress is None else lambda x, k=k: progress((k + x) / passes)
+        report = (
+            None if progress is None else lambda x, batch=batch: progress((batch.first + x * batch.per_pixel) / spp)
+        )
         value, valid, extra = sample(sampler, ray, weight, True, batch, report)
         _put(block, film, position, value * weight, valid, extra, ray.wavelengths)
         sampler.advance()
         sampler.schedule_state()
         dr.eval(block.tensor())
-        if watch is not None and not watch(k + 1, _developed(film, block)):
-            break
+        done += per_pass
+        if watch is not None:
+            per_pass = min(watch(done, _developed(film, block)), most)
     film.clear()
     film.put_block(block)
     if progress is not None:
@@ -52,6 +59,11 @@ def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progres
         dr.eval()
         dr.sync_thread()
     return image
+
+
+def sample_seed(seed, done):
+    """A seed for samples from number ``done`` on."""
+    return int(mi.sample_tea_32(mi.UInt32(seed), done)[0][0])
 
 
 def _developed(film, block):

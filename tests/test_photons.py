@@ -166,7 +166,7 @@ def test_a_progressive_render_comes_nearer(tmp_path, mode):
 
     def watch(samples, image):
         errors.append(np.abs(np.array(image) - expected).sum() / expected.sum())
-        return samples < 24
+        return 1 if samples < 24 else 0
 
     integrator.watch = watch
     integrator.render(scene, spp=1000)

@@ -1,7 +1,7 @@
 """Methods side by side on one scene: each renders for the same time, and its error is followed on the way.
 
-All but ``volpath`` render in passes of one sample per pixel at the same places in the pixels; the photon methods send new
-photons in each. ``volpath`` renders with other seeds again and again; the same render with albedo 0 is subtracted (what is
+All but ``volpath`` render at the same places in the pixels, in passes that double their samples while the time allows; the photon
+methods send new photons for each sample. ``volpath`` renders with other seeds again and again; the same render with albedo 0 is subtracted (what is
 not scattered in the media), and not timed. Clocks stand still while images are compared.
 """
 
@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 from . import methods, metrics
 
-REFERENCE_TOLERANCE = 1e-4
-REFERENCE_TIME = 4.0
+REFERENCE_TOLERANCE = 1e-3
+REFERENCE_TIME = 8.0
 """Time of the reference relative to that of a method."""
 REFERENCE_SEED = 1000
 """Other places in the pixels than those of the methods."""
@@ -80,13 +80,15 @@ class _Follower:
     """Follows a run: notes errors as often as a logarithmic plot shows, keeps the image that there is when the ``seconds`` are
     over, and ends it there; or, where an error is ``wanted``, once that is reached or ``LONGEST`` is over."""
 
-    def __init__(self, run, reference, seconds, wanted, report):
-        self.run, self.reference, self.seconds, self.wanted, self.report = run, reference, seconds, wanted, report
+    def __init__(self, run, reference, seconds, wanted, report, grows=False):
+        self.run, self.reference, self.seconds, self.wanted = run, reference, seconds, wanted
+        self.report, self.grows = report, grows
         self.clock, self.next, self.error = _Clock(), 0.0, float("inf")
         self.clock.go_on()
 
     def __call__(self, samples, image):
-        """Takes the image after ``samples``; whether to go on."""
+        """Takes the image after ``samples``; how many to take next, 0 to end. Where it ``grows`` as many as there are or, before
+        the time is up, as are then left."""
         run, clock = self.run, self.clock
         clock.pause()
         over, kept = clock.wall >= self.seconds, run.wall_seconds >= self.seconds
@@ -101,7 +103,10 @@ class _Follower:
         self.report(min(clock.wall / self.seconds, 1.0))
         reached = self.wanted is None or self.error <= self.wanted or clock.wall >= LONGEST * self.seconds
         clock.go_on()
-        return not (over and reached)
+        if over and reached:
+            return 0
+        end = self.seconds if not over else LONGEST * self.seconds
+        return max(1, min(samples, int((end - clock.wall) / clock.wall * samples))) if self.grows else 1
 
 
 def _array(image):
@@ -130,10 +135,10 @@ def _ours(scene, run, truth, seconds, wanted, report, seed=1):
     import mitsuba as mi
 
     integrator, start = mi.load_dict(run.settings), time.perf_counter()
-    integrator.watch = lambda samples, image: samples < 2
+    integrator.watch = lambda samples, image: 1 if samples < 2 else 0
     integrator.render(scene, seed=0, spp=ENDLESS)
     run.warm_up_seconds = time.perf_counter() - start
-    integrator.watch = _Follower(run, truth, seconds, wanted, report)
+    integrator.watch = _Follower(run, truth, seconds, wanted, report, grows="photons" not in run.settings)
     integrator.render(scene, seed=seed, spp=ENDLESS)
     return run
 
@@ -151,7 +156,7 @@ def _volpath(scene, clear, setup, truth, wanted, report):
     run.warm_up_seconds, samples = time.perf_counter() - start, 1
     while _timed(integrator, scene, samples) < setup.seconds / STEPS and samples < MOST:
         samples *= 2
-    follower, total, seed, more = _Follower(run, truth, setup.seconds, wanted, report), 0.0, 1, True
+    follower, total, seed, more = _Follower(run, truth, setup.seconds, wanted, report), 0.0, 1, 1
     while more:
         image = integrator.render(scene, seed=seed, spp=samples)
         follower.clock.pause()

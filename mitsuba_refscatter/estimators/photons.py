@@ -185,7 +185,7 @@ def store(photons, lengths, sigma_t, beams, radius, body, sampler):
     count = dr.width(P)
     dr.eval(P, omega, flux, start, end)
     middle = P if not beams else P + 0.5 * (start + end) * omega
-    order = lanes.array(mi.UInt32, bvh.median_order(middle.numpy().T))
+    order = lanes.array(mi.UInt32, bvh.morton_order(middle.numpy().T))
     numbers = [*P, *omega, start, end, *flux]
     numbers = [dr.gather(mi.Float, x + dr.zeros(mi.Float, count), order) for x in numbers]
     records = dr.empty(mi.Float, count * RECORD)

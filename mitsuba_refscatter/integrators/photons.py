@@ -67,7 +67,7 @@ class PhotonIntegrator(RefscatterIntegrator):
     def scatter(self, prepared, paths, ray, n, batch, sampler, detail, progress):
         single = scatter(prepared, paths, ray, n, batch, 0, detail, None, refracted=False)
         rng = np.random.default_rng(seed_from(sampler))
-        number = batch.first // batch.per_pixel
+        number = batch.first // batch.per_pixel  # of the pass
         for region in prepared.scene.regions:
             if not paths.segments[region.index]:
                 continue
