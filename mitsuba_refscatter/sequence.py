@@ -85,7 +85,9 @@ class Sequence:
         """Numbers that many samples share: of about ``light_samples`` light points, (points, 2) in [0, 1), and per lane which.
 
         The pixels are in groups with numbers of their own, neighbours in different ones, as many as there are light points for;
-        where there are fewer than samples in a pixel, consecutive samples have the same.
+        where there are fewer than samples in a pixel, consecutive samples have the same. The groups' numbers go on in the
+        sequence, so that those of all light points are evenly spread, too; below their leading digits they are mixed (by a
+        triangular matrix: Matousek 1998), so that the next samples of other groups are not the same again.
         """
         each = -(-batch.per_pixel // light_samples)
         points = -(-batch.per_pixel // each)
@@ -95,7 +97,18 @@ class Sequence:
         first = mi.sample_tea_32(pixel // several, dr.opaque(mi.UInt32, self.seed), ROUNDS)[0]
         group = (pixel + first % several) % several
         which = group * dr.opaque(mi.UInt32, points) + number // dr.opaque(mi.UInt32, each)
-        turns = np.random.default_rng(self.seed).random((groups, 1, 2)) * 2**BITS
+        rng, digits = np.random.default_rng(self.seed), (points - 1).bit_length()
         index = batch.first // batch.per_pixel * points + np.arange(points)
-        numbers = np.stack([sobol(index, k) for k in LIGHT], axis=-1) ^ turns.astype(np.uint32)
+        numbers = np.stack([sobol(index, k) ^ self._turns(groups, digits, k, rng)[:, None] for k in LIGHT], axis=-1)
         return numbers.reshape(-1, 2) / 2.0**BITS, which
+
+    @staticmethod
+    def _turns(groups, digits, dimension, rng):
+        """Of groups whose first numbers differ in the leading ``digits``: uint32."""
+        ahead = sobol(np.arange(groups) << digits, dimension)
+        out = np.full(groups, rng.integers(2**BITS), dtype=np.uint32)
+        for row in range(BITS):
+            bit = 1 << (BITS - 1 - row)
+            column = bit | (int(rng.integers(bit)) if row >= digits else 0)
+            out ^= np.where(ahead & np.uint32(bit), np.uint32(column), np.uint32(0))
+        return out

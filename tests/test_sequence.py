@@ -47,6 +47,23 @@ def test_a_pixel_has_one_sobol_sequence(per_pixel, light_samples):
     assert groups == 1 or len(np.unique(blocks, axis=0)) > 1
 
 
+@pytest.mark.parametrize("per_pixel, light_samples", [(1, 16), (4, 16), (16, 16), (1, 64), (4, 128)])
+def test_all_light_points_of_a_pass_are_evenly_spread(per_pixel, light_samples):
+    """Rectangles of equal area, of every shape, hold as many of them as of the first points of the sequence; and those of two
+    passes are not the same."""
+    made = Sequence(5)
+    pools = [made.shared(light_samples, Batch(k * per_pixel, per_pixel), 1)[0] for k in range(2)]
+    plain = np.stack([sequence.sobol(np.arange(light_samples), k) / 2**32 for k in LIGHT], axis=-1)
+    m = light_samples.bit_length() - 1
+    for points in pools:
+        assert len(points) == light_samples
+        for q in range(m + 1):
+            counts = [np.sort(np.histogram2d(*x.T, bins=(2**q, 2 ** (m - q)), range=[[0, 1]] * 2)[0].ravel())
+                      for x in (points, plain)]  # fmt: skip
+            assert (counts[0] == counts[1]).all(), (q, counts)
+    assert len(np.unique(np.concatenate(pools), axis=0)) == 2 * light_samples
+
+
 def test_few_light_points_are_shared():
     """By consecutive samples, as evenly as it goes; they go on in the next pass."""
     x, which = numbers(Sequence(5), [Batch(0, 10), Batch(10, 10)], 3, 4)
