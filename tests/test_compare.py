@@ -7,6 +7,9 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 import pytest
+from against_volpath import BLOCK, WITHIN, Case, colour, glass
+from build import point_light
+from comparison import check, compare
 from test_cli import SPHERE, assert_one_sentence, needs_variant, refscatter
 
 from mitsuba_refscatter.compare import methods, race, suite
@@ -28,7 +31,8 @@ def test_compare_writes_a_report(tmp_path, names):
             assert np.isfinite(row[key]), (row["method"], key)
         assert row["settings"]["resolution"] == [16, 16] and len(row["curve"]) >= 1
         image = np.array(mi.Bitmap(str(tmp_path / f"{row['method']}.exr")))
-        assert image.shape == (16, 16, 3) and image.max() > 0
+        assert image.shape == (16, 16, 3)
+        assert image.max() > 0 or row["method"] == "volpath"  # which may find nothing so soon
     by_name = {row["method"]: row for row in data["rows"]}
     assert by_name["refscatter"]["relmse"] < by_name["straight_line"]["relmse"]
     assert by_name["refscatter"]["seconds_to_first"] == by_name["refscatter"]["wall_seconds"]
@@ -66,44 +70,22 @@ def test_compare_says_what_is_wrong(tmp_path):
     )
 
 
-def test_volpath_finds_the_same_light_as_ours(rgb):
-    """In a scene with a light that it finds (what stands for a point light is large enough here): restricted to the same
-    paths, scattering alone, the means agree."""
-    near = {"type": "sphere", "radius": 1.0, "bsdf": {"type": "dielectric", "int_ior": 1.3, "ext_ior": 1.0},
-            "interior": {"type": "homogeneous", "sigma_t": 1.0, "albedo": 0.8}}  # fmt: skip
-    sensor = {"type": "perspective", "fov": 30, "to_world": mi.ScalarTransform4f().look_at([0, 0.5, 5], [0, 0, 0], [0, 1, 0]),
-              "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}, "pixel_format": "rgb"}}  # fmt: skip
-    parts = {"type": "scene", "sensor": sensor, "body": near, "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, -2, 0]).rotate([1, 0, 0], -90).scale(9)},
-             "lamp": {"type": "point", "position": [0.4, 1.12, 0.2], "intensity": {"type": "rgb", "value": [1, 2, 3]}}}  # fmt: skip
-    scene, dark = (mi.load_dict(parts, optimize=False) for _ in range(2))
-    methods.without_scattering(dark)
-    both, clear = methods.for_volpath(scene), methods.for_volpath(dark)
-    theirs = (
-        np.mean(
-            [
-                np.array(x.integrator().render(x, seed=k, spp=256)) * sign
-                for k in range(64)
-                for x, sign in ((both, 1), (clear, -1))
-            ],
-            axis=0,
-        )
-        * 2
-    )
-    # The sphere that stands for the point has a radius of 0.1: the same for ours.
-    ours = np.array(
-        mi.load_dict({"type": "refscatter", "surfaces": False, "internal_bounces": 0}).render(
-            both_lights(parts), spp=256
-        )
-    )
-    ratio = theirs.mean(axis=(0, 1)) / ours.mean(axis=(0, 1))
-    print(ratio)
-    assert np.abs(ratio - 1).max() < 0.05
-
-
-def both_lights(parts):
-    lamp = {"type": "sphere", "center": [0.4, 1.12, 0.2], "radius": methods.LIGHT_RADIUS, "emitter": {
-        "type": "area", "radiance": {"type": "rgb", "value": [x / (np.pi * methods.LIGHT_RADIUS**2) for x in (1, 2, 3)]}}}  # fmt: skip
-    return mi.load_dict({**parts, "lamp": lamp}, optimize=False)
+def test_volpath_finds_the_same_light_as_ours(rgb, monkeypatch):
+    """As comparisons set it up: restricted to the same paths, the same scene without scattering subtracted, a sphere in place of
+    the point light; here a large one, which it finds, and against ours with that sphere."""
+    radius, intensity = 0.7, np.array([1, 2, 3])
+    monkeypatch.setattr(methods, "LIGHT_RADIUS", radius)
+    case = Case(lambda: {"light": point_light((1.6, 2.2, 1.3), intensity.tolist()), "body": {
+        "type": "cube", "bsdf": glass(1.3), "interior": WITHIN}})  # fmt: skip
+    scenes = [methods.for_volpath(case.scene({"type": "path"}, **changes)) for changes in ({}, {"albedo": 0.0})]
+    theirs = [np.subtract(*(np.array(mi.render(x, seed=k, spp=256)) for x in scenes)) for k in range(32)]
+    ball = {"type": "sphere", "center": [1.6, 2.2, 1.3], "radius": radius,
+            "emitter": {"type": "area", "radiance": colour(*(intensity / (np.pi * radius**2)).tolist())}}  # fmt: skip
+    parts = {**case.parts(), "light": ball}
+    options = {"type": "refscatter", "surfaces": False, "internal_bounces": 0, "culling": "spindle"}
+    scene = Case(lambda: parts).scene(options)
+    ours = [np.array(mi.render(scene, seed=k, spp=32)) for k in range(8)]
+    check(compare(np.array(ours), np.array(theirs), BLOCK), mean_error=0.02, block_error=0.12)
 
 
 def test_the_suite_can_be_made(rgb, tmp_path):
@@ -112,8 +94,12 @@ def test_the_suite_can_be_made(rgb, tmp_path):
     changed = [case for case in suite.CASES if case.density == 8 or case.name == "light_near"]
     small = suite.Case("plain", "bumpy_sphere", 80)
     plain = mi.traverse(small.subject(tmp_path, 8).load())
+    scale = "body.interior_medium.scale"
+
+    def position(parameters):
+        return np.ravel(next(value for key, value in parameters if key.endswith(".position")))
+
     for case in changed:
         found = mi.traverse(replace(case, triangles=80).subject(tmp_path, 8).load())
-        scale, position = "body.interior_medium.scale", next(key for key, _ in plain if key.endswith(".position"))
         assert found[scale] == pytest.approx(case.density * plain[scale])
-        assert np.allclose(np.ravel(found[position]), case.light or np.ravel(plain[position]))
+        assert np.allclose(position(found), case.light or position(plain))
