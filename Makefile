@@ -1,5 +1,6 @@
 # make render   set everything up and render the first picture
 # make test     the tests (make test-all: also the slow ones)
+# make references  what volpath finds in the scenes of tests, where it is missing or a scene has changed
 # make lint     style and types; make format rewrites the files
 
 PYTHON ?= python3
@@ -8,7 +9,7 @@ BIN := $(VENV)/bin
 SCENE := scenes/bumpy_sphere/scene.xml
 PICTURE := renders/bumpy_sphere.exr
 
-.PHONY: render test test-all lint format llvm clean
+.PHONY: render test test-all references lint format llvm clean
 
 render: $(VENV)/.package llvm
 	$(BIN)/refscatter render $(SCENE) -o $(PICTURE)
@@ -18,6 +19,9 @@ test: $(VENV)/.test llvm
 
 test-all: $(VENV)/.test llvm
 	$(BIN)/python -m pytest -n 2 -m ""
+
+references: $(VENV)/.test llvm
+	$(BIN)/python -m pytest --make-references tests/test_real_scenes.py tests/test_volpath.py
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

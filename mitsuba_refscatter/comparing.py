@@ -10,10 +10,11 @@ from typing import Optional
 import typer
 
 from . import output
+from . import scenes as scene_files
 from .compare import duel, race, report, results
 from .compare import suite as suites
 from .compare.methods import METHODS
-from .console import Failure, defines, known, load, measurable, out, plainly, progress_bar, require_matplotlib, table
+from .console import Failure, defines, known, load, measurable, out, plainly, progress_bar, require, table
 
 app = typer.Typer()
 
@@ -54,7 +55,7 @@ def compare(
     variant = measurable(variant, directory)
     if not variant.endswith("_rgb"):
         raise typer.BadParameter(f"errors are those of rgb images, not of {variant}", param_hint="-m")
-    require_matplotlib()
+    require("matplotlib", "flip_evaluator")
     import mitsuba as mi
 
     mi.set_variant(variant)
@@ -64,7 +65,8 @@ def compare(
     if scene is None:
         _suite(directory, methods, setup, resolution)
         return
-    subject = duel.Subject.of(scene.parent.name if scene.stem == "scene" else scene.stem, lambda: load(scene, values))
+    name = scene.parent.name if scene.stem == "scene" else scene.stem
+    subject = replace(duel.Subject.of(name, lambda: load(scene, values)), shipped=scene_files.made_as(scene))
     outcome = _run(subject, methods, setup, None if reference is None else _image_at(reference))
     _write(directory, [outcome])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib.util
 import re
 import sys
 from pathlib import Path
@@ -51,12 +52,11 @@ def plainly(command):
     return wrapped
 
 
-def require_matplotlib() -> None:
-    """``Failure`` with what to install where matplotlib is missing."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise Failure("the plot needs matplotlib: pip install 'mitsuba_refscatter[compare]'") from error
+def require(*modules: str) -> None:
+    """``Failure`` with what to install where one of these is missing."""
+    for name in modules:
+        if importlib.util.find_spec(name) is None:
+            raise Failure(f"this needs {name}: pip install 'mitsuba_refscatter[compare]'")
 
 
 def known(names: list[str], known, option: str, kind: str) -> list[str]:

@@ -13,7 +13,7 @@ from .compare import convergence as convergence_runs
 from .compare import equal_error as equal_error_runs
 from .compare import results
 from .compare import scaling as scaling_runs
-from .console import err, known, measurable, out, plainly, require_matplotlib, table
+from .console import err, known, measurable, out, plainly, require, table
 
 app = typer.Typer()
 
@@ -41,7 +41,7 @@ def scaling(
     """Measure cost against the number of triangles, in samples of volpath on the same machine in the same run."""
     methods = known(methods, scaling_runs.OURS, "--method", "method")
     if directory is not None:
-        require_matplotlib()
+        require("matplotlib")
     variant = measurable(variant, directory)
     shown = table("triangles", "method", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray",
                    "contributing/ray", "L1 error", "peak MiB")  # fmt: skip
@@ -83,7 +83,7 @@ def convergence(
     """Plot how the estimators interval and point come to what the curve finds as their samples grow."""
     scenes = known(scenes, scene_files.BODIES, "--scene", "scene")
     variant = measurable(variant, directory)
-    require_matplotlib()
+    require("matplotlib")
     shown, rows = table("scene", "estimator", "samples", "L1 difference", "bias", "wall s"), []
 
     def add(row):
@@ -117,7 +117,7 @@ def equal_error(
 ):
     """Measure the time to an error of the image under area and environment lights, against volpath."""
     variant = measurable(variant, directory)
-    require_matplotlib()
+    require("matplotlib")
     shown = table("light", "method", "samples", "wall s", "error", f"s to {error:.2g}", "times faster")
 
     def add(row):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import mitsuba as mi
 import numpy as np
+import references
 from comparison import compare
 
 RES, BLOCK = 32, 4
@@ -65,18 +66,31 @@ class Case:
         parts = {"type": "scene", "a_medium": {**self.medium(), **changes}, "integrator": integrator}
         return mi.load_dict({**parts, "sensor": camera(), **self.parts()}, optimize=self.optimize)
 
-    def images(self):
-        """(replicates, H, W, 3) of refscatter and of volpath."""
-        options = {"type": "refscatter", "surfaces": False, "internal_bounces": 0, **self.options}
-        scene = self.scene(options)
-        ours = [np.array(mi.render(scene, seed=k, spp=self.ours[1])) for k in range(self.ours[0])]
-        volpath = {"type": "volpath", "max_depth": self.depth, "rr_depth": 1000}
-        both = self.scene(volpath), self.scene(volpath, albedo=0.0)
-        theirs = []
-        for k in range(self.theirs[0]):
-            with_it, without = (np.array(mi.render(scene, seed=k, spp=self.theirs[1])) for scene in both)
-            theirs.append(with_it - without)
-        return np.array(ours), np.array(theirs)
+    def ours_at(self, seed=0):
+        """Renders by refscatter, (replicates, H, W, 3)."""
+        scene = self.scene({"type": "refscatter", "surfaces": False, "internal_bounces": 0, **self.options})
+        return np.array([np.array(mi.render(scene, seed=seed + k, spp=self.ours[1])) for k in range(self.ours[0])])
 
-    def agreement(self):
-        return compare(*self.images(), BLOCK)
+    def theirs_at(self, seed=0):
+        """The same by volpath."""
+        volpath = {"type": "volpath", "max_depth": self.depth, "rr_depth": 1000}
+        both, images = (self.scene(volpath), self.scene(volpath, albedo=0.0)), []
+        for k in range(self.theirs[0]):
+            with_it, without = (np.array(mi.render(scene, seed=seed + k, spp=self.theirs[1])) for scene in both)
+            images.append(with_it - without)
+        return np.array(images)
+
+    def kept(self, name):
+        """What volpath finds, as it is kept under a name."""
+        scene = {
+            "sensor": camera(),
+            **self.parts(),
+            "medium": self.medium(),
+            "depth": self.depth,
+            "renders": self.theirs,
+        }
+        return references.of(name, scene, self.theirs_at, BLOCK)
+
+    def agreement(self, name):
+        """``Agreement`` of refscatter with what is kept of volpath."""
+        return compare(self.ours_at(), self.kept(name), BLOCK)

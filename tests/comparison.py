@@ -1,7 +1,7 @@
 """Comparison of two image estimators that both have noise: blocks of pixels, z values, chi-square.
 
 Each estimator is given as an array (replicates, height, width, channels) of independent renders with
-the same expectation.  Nothing here knows what is rendered.
+the same expectation, or as the ``Statistics`` of one.  Nothing here knows what is rendered.
 """
 
 from dataclasses import dataclass
@@ -50,30 +50,54 @@ def z_values(a, b):
 
     The variances are estimated from the replicates, so the quotient follows Student's t (Welch);
     z is the normal variate of the same probability."""
-    va, vb = a.var(0, ddof=1) / len(a), b.var(0, ddof=1) / len(b)
-    difference, variance = a.mean(0) - b.mean(0), np.maximum(va + vb, 1e-300)
-    freedom = variance**2 / np.maximum(va**2 / (len(a) - 1) + vb**2 / (len(b) - 1), 1e-300)
+    return _z(*((len(x), x.mean(0), x.var(0, ddof=1)) for x in (a, b)))
+
+
+def _z(a, b):
+    """The same of (count, mean, variance)."""
+    va, vb = a[2] / a[0], b[2] / b[0]
+    difference, variance = a[1] - b[1], np.maximum(va + vb, 1e-300)
+    freedom = variance**2 / np.maximum(va**2 / (a[0] - 1) + vb**2 / (b[0] - 1), 1e-300)
     t = difference / np.sqrt(variance)
     z = np.sign(t) * stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), freedom), 1e-300))
     return difference, np.sqrt(variance), z
 
 
+@dataclass(frozen=True)
+class Statistics:
+    """Of ``count`` renders: mean and variance of the image mean (C,), and of the means of blocks (h, w, C)."""
+
+    count: int
+    mean: np.ndarray
+    variance: np.ndarray
+    block_mean: np.ndarray
+    block_variance: np.ndarray
+
+    @classmethod
+    def of(cls, images, size):
+        """Of (N, H, W, C), with blocks of size x size pixels; of ``Statistics`` themselves."""
+        if isinstance(images, cls):
+            return images
+        images = np.asarray(images, dtype=np.float64)
+        whole, blocks = images.mean((1, 2)), block_means(images, size)
+        return cls(len(images), whole.mean(0), whole.var(0, ddof=1), blocks.mean(0), blocks.var(0, ddof=1))
+
+
 def compare(ours, theirs, size):
     """``Agreement`` of two sets of renders, with blocks of size x size pixels."""
-    difference, error, z = z_values(ours.mean((1, 2)), theirs.mean((1, 2)))
-    level = ours.mean((0, 1, 2))
-    blocks = [block_means(x, size).reshape(len(x), -1, x.shape[-1]) for x in (ours, theirs)]
-    bright = (blocks[0].mean(0) > DARK * level).all(-1)
-    block_difference, block_error, block_z = z_values(*(x[:, bright] for x in blocks))
+    a, b = (Statistics.of(x, size) for x in (ours, theirs))
+    difference, error, z = _z(*((x.count, x.mean, x.variance) for x in (a, b)))
+    bright = (a.block_mean > DARK * a.mean).all(-1)
+    _, block_error, block_z = _z(*((x.count, x.block_mean[bright], x.block_variance[bright]) for x in (a, b)))
     chi2 = (block_z**2).sum(0)
     return Agreement(
-        difference / level,
-        error / level,
+        difference / a.mean,
+        error / a.mean,
         z,
         chi2,
         stats.chi2.cdf(chi2, bright.sum()),
         block_z,
-        float(np.median(block_error / blocks[0].mean(0)[bright])),
+        float(np.median(block_error / a.block_mean[bright])),
     )
 
 

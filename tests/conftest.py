@@ -2,11 +2,20 @@
 
 import mitsuba as mi
 import pytest
+import references
 
 import mitsuba_refscatter  # noqa: F401 - registers the plugins
 from mitsuba_refscatter import platform
 
 VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_rgb")
+
+
+def pytest_addoption(parser):
+    parser.addoption("--make-references", action="store_true", help="render what volpath finds where it is not kept")
+
+
+def pytest_configure(config):
+    references.MAKE = config.getoption("--make-references")
 
 
 def _use(variant):

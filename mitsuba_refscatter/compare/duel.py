@@ -7,11 +7,13 @@ from . import methods, metrics, race, results
 
 @dataclass
 class Subject:
-    """A scene to compare on. ``load()``: makes it anew, as ``mi.Scene``; ``triangles``: of its boundaries."""
+    """A scene to compare on. ``load()``: makes it anew, as ``mi.Scene``; ``triangles``: of its boundaries; ``shipped``: the
+    name of the scene of this package that it is, or None."""
 
     name: str
     load: object
     triangles: int
+    shipped: object = None
 
     @classmethod
     def of(cls, name, load):
@@ -44,7 +46,7 @@ def compare(subject, names, setup, reference=None, report=lambda stage, fraction
         found = race.reference(scene, setup, lambda x: report("reference", x))
         reference = found.image
         about = (f"curve at tolerance {race.REFERENCE_TOLERANCE:g}, {found.samples} samples per pixel, "
-                 f"{found.wall_seconds:.1f} s")  # fmt: skip
+                 f"{found.wall_seconds:.1f} s{_checked(subject.shipped)}")  # fmt: skip
     runs, wanted = [], None
     for name in names:
         loaded, clear = scene, None
@@ -57,6 +59,15 @@ def compare(subject, names, setup, reference=None, report=lambda stage, fraction
         if setup.equal_quality and wanted is None:
             wanted = metrics.relmse(run.image, reference)
     return Outcome(subject, setup, reference, about, runs, _rows(subject, setup, reference, runs))
+
+
+def _checked(shipped):
+    """What is known of the reference on a scene of this package, in words."""
+    if shipped not in race.CHECKED:
+        return ""
+    against_oracle, against_beams = race.CHECKED[shipped]
+    return (f"; such images of {shipped} are within {against_oracle:g} (L1) of a float64 oracle, and within {against_beams:g} (mean) of "
+            "long photon beams")  # fmt: skip
 
 
 def _rows(subject, setup, reference, runs):

@@ -15,6 +15,9 @@ REFERENCE_TIME = 8.0
 """Time of the reference relative to that of a method."""
 REFERENCE_SEED = 1000
 """Other places in the pixels than those of the methods."""
+CHECKED = {"bumpy_sphere": (1e-3, 5e-3)}
+"""What the reference is within on scenes of this package: of a float64 oracle (sum |a - b| / sum b over camera rays) and of long photon
+beams (mean). ``tests/test_reference.py`` measures that."""
 LONGEST = 8.0
 """Time relative to the given one that a method gets to reach the quality of the first, before it is extrapolated."""
 STEPS = 32

@@ -42,7 +42,7 @@ class Case:
             parameters.update()
             return scene
 
-        return Subject(self.name, load, count)
+        return Subject(self.name, load, count, self.scene)
 
 
 BEST = ("refscatter", "photon_beams", "straight_line")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from .bodies import amber, bumpy_sphere, rounded_cube, sphere
@@ -11,7 +12,7 @@ from .studio import STUDIO
 from .templates import SCENES
 from .water import water
 
-__all__ = ["BODIES", "SCENES", "STUDIO", "BodyError", "make_body", "scene_names", "write_ply", "write_scene"]
+__all__ = ["BODIES", "SCENES", "STUDIO", "BodyError", "made_as", "make_body", "scene_names", "write_ply", "write_scene"]
 
 BODIES = {
     "bumpy_sphere": bumpy_sphere,
@@ -60,3 +61,9 @@ def write_scene(name: str, directory, triangles: int | None = None) -> tuple[Pat
     path = directory / "scene.xml"
     path.write_text(SCENES[name].xml(name, len(faces)), encoding="utf-8")
     return path, len(faces)
+
+
+def made_as(path) -> str | None:
+    """Return the name of the scene that a file holds, as the comment of ``write_scene`` says; None if another hand wrote it."""
+    found = re.search(r"All files were written by\s+refscatter scenes (\w+)", Path(path).read_text("utf-8", "replace"))
+    return found.group(1) if found and found.group(1) in SCENES else None
