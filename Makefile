@@ -1,6 +1,6 @@
 # make render   set everything up and render the first picture
 # make test     the tests (make test-all: also the slow ones)
-# make references  what volpath finds in the scenes of tests, where it is missing or a scene has changed
+# make references  what tests compare with and takes long to compute, where it is missing or a scene has changed
 # make lint     style and types; make format rewrites the files
 
 PYTHON ?= python3
@@ -18,10 +18,10 @@ test: $(VENV)/.test llvm
 	$(BIN)/python -m pytest -n 2
 
 test-all: $(VENV)/.test llvm
-	$(BIN)/python -m pytest -n 2 -m ""
+	$(BIN)/python -m pytest -n 2 -m "" --references-anew
 
 references: $(VENV)/.test llvm
-	$(BIN)/python -m pytest --make-references tests/test_real_scenes.py tests/test_volpath.py
+	$(BIN)/python -m pytest -n 2 --make-references
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

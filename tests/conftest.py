@@ -11,11 +11,12 @@ VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_rgb")
 
 
 def pytest_addoption(parser):
-    parser.addoption("--make-references", action="store_true", help="render what volpath finds where it is not kept")
+    parser.addoption("--make-references", action="store_true", help="compute references where they are not kept")
+    parser.addoption("--references-anew", action="store_true", help="compare references with what is kept")
 
 
 def pytest_configure(config):
-    references.MAKE = config.getoption("--make-references")
+    references.MAKE, references.ANEW = config.getoption("--make-references"), config.getoption("--references-anew")
 
 
 def _use(variant):

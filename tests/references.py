@@ -1,7 +1,8 @@
-"""What ``volpath`` finds in the scenes of tests, kept: statistics of many renders, one file per scene in ``references/``.
+"""What tests compare with and takes long to compute, kept in ``references/``, one file each: statistics of many renders by
+``volpath``, and radiance by the float64 oracle and by quadrature.
 
-``make references`` renders those that are missing or whose scene has changed; ``make test-all`` renders each anew, with other
-seeds, and compares. So tests render our side alone, against references with less noise than they would have time for.
+``make references`` computes those that are missing or whose scene has changed; ``make test-all`` computes each anew and
+compares (renders with other seeds). So ``make test`` has time for references of many rays and of little noise.
 """
 
 import hashlib
@@ -17,22 +18,36 @@ from comparison import Statistics
 
 FOLDER = Path(__file__).parent / "references"
 MAKE = False
-"""Whether references are rendered where they are missing (``pytest --make-references``)."""
+"""Whether references are computed where they are missing (``pytest --make-references``)."""
+ANEW = False
+"""Whether arrays are computed to be compared with those that are kept (``pytest --references-anew``)."""
 
 
 def of(name, scene, render, size):
     """``Statistics`` of the renders that ``render()`` makes of a ``scene`` (whatever describes it: see ``fingerprint``), with
     blocks of size x size pixels; as they are kept under a ``name``."""
+    return Statistics(**_kept(name, scene, lambda: asdict(Statistics.of(render(), size))))
+
+
+def array(name, scene, compute):
+    """The array that ``compute()`` makes for a ``scene``, as it is kept."""
+    found = _kept(name, scene, lambda: {"array": compute()})["array"]
+    if ANEW:
+        np.testing.assert_allclose(compute(), found, rtol=1e-5, atol=1e-6 * np.abs(found).max())
+    return found
+
+
+def _kept(name, scene, compute):
     path, mark = FOLDER / (re.sub(r"[^a-z0-9]+", "_", name.lower()) + ".npz"), fingerprint(scene)
     if path.exists():
         with np.load(path) as kept:
             if str(kept["fingerprint"]) == mark:
-                return Statistics(**{key: kept[key] for key in kept.files if key != "fingerprint"})
+                return {key: kept[key] for key in kept.files if key != "fingerprint"}
     if not MAKE:
         pytest.fail(f"{path.name} is missing or of another scene: make references")
-    found = Statistics.of(render(), size)
+    found = compute()
     FOLDER.mkdir(exist_ok=True)
-    np.savez_compressed(path, fingerprint=mark, **asdict(found))
+    np.savez_compressed(path, fingerprint=mark, **found)
     return found
 
 

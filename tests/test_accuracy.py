@@ -6,6 +6,7 @@ import mitsuba as mi
 import numpy as np
 import oracle
 import pytest
+import references
 from meshes import Mesh, bumpy_sphere, icosphere
 
 LIGHT, CAMERA = (-2.6, 2.4, -0.9), (0.0, 1.1, 5.2)
@@ -35,7 +36,9 @@ def test_bumpy_sphere_against_oracle(rgb):
     light = (np.array(emitter["position"]).ravel(), np.array(emitter["intensity.value"]).ravel())
     o, d = build.rays_at((0.0, 1.1, 5.2), 0.95, 200, seed=1)
     ours = build.single_scattering(scene, o, d, internal_bounces=2)
-    truth = oracle.camera_radiance([body_of(mesh)], [light], o, d, 2, subdivisions=6)
+    body = body_of(mesh)
+    truth = references.array("oracle bumpy sphere", [body, light, o, d],
+                             lambda: oracle.camera_radiance([body], [light], o, d, 2, subdivisions=6))  # fmt: skip
     error = np.abs(ours - truth).sum(axis=1) / truth.sum(axis=1)
     assert np.median(error) < 1e-3
     assert np.percentile(error, 99) < 2e-2
@@ -54,13 +57,17 @@ def test_no_refraction(rgb, tmp_path, g):
     o, d = build.rays_at(CAMERA, 0.8, 1000, seed=2)
     ours = build.single_scattering(scene, o, d, tolerance=1e-4)
     body = body_of(mesh, 1.0, g or 0.0)
-    legs = oracle.camera_segments([body], o, d, 4)
-    intensity = np.full(3, 10.0)
-    value = closed_forms.straight_line_radiance(
-        mesh, body.sigma_s, body.sigma_t, body.g, np.array(LIGHT), intensity, legs.o, legs.d, legs.t_max
-    )
-    truth = np.zeros(ours.shape)
-    np.add.at(truth, legs.ray, legs.weight * value)
+
+    def straight():
+        legs = oracle.camera_segments([body], o, d, 4)
+        value = closed_forms.straight_line_radiance(
+            mesh, body.sigma_s, body.sigma_t, body.g, np.array(LIGHT), np.full(3, 10.0), legs.o, legs.d, legs.t_max
+        )
+        total = np.zeros(ours.shape)
+        np.add.at(total, legs.ray, legs.weight * value)
+        return total
+
+    truth = references.array(f"straight line g {g}", [body, LIGHT, o, d], straight)
     error = np.abs(ours - truth).sum(axis=1) / truth.sum(axis=1)
     assert error.max() < 1e-3
 
@@ -119,9 +126,23 @@ def test_sphere_converges(rgb, tmp_path):
     over the rays falls as h^2, that is by 4 when the triangles are quartered."""
     o, d, (inner_o, inner_d, t_max, weight) = exact_sphere_rays(1.5, 1000)
     body = body_of(None)
-    truth = weight * closed_forms.sphere_radiance(
-        1.0, 1.5, body.sigma_s, body.sigma_t, 0.0, np.array(LIGHT), np.full(3, 10.0), inner_o, inner_d, t_max, scan=2001
-    )
+
+    def exact():
+        return weight * closed_forms.sphere_radiance(
+            1.0,
+            1.5,
+            body.sigma_s,
+            body.sigma_t,
+            0.0,
+            np.array(LIGHT),
+            np.full(3, 10.0),
+            inner_o,
+            inner_d,
+            t_max,
+            scan=2001,
+        )
+
+    truth = references.array("sphere", [body.sigma_s, body.sigma_t, LIGHT, o, d], exact)
     errors = []
     for level in (2, 3, 4, 5):
         shape = build.mesh_shape(icosphere(level), tmp_path / f"m{level}.ply")

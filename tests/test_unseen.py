@@ -5,6 +5,7 @@ import build
 import mitsuba as mi
 import numpy as np
 import oracle
+import references
 from meshes import Mesh
 
 from mitsuba_refscatter.scenes import make_body
@@ -71,7 +72,9 @@ def oracle_image(scene, bounces, seed):
     o, d = np.array(ray.o, float).T, np.array(ray.d, float).T
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     lights = [tuple(np.array(x) for x in light) for light in LIGHTS]
-    L = oracle.camera_radiance(oracle_bodies(scene), lights, o, d, bounces, subdivisions=4)
+    bodies = oracle_bodies(scene)
+    L = references.array("unseen", [bodies, lights, bounces, seed, o.shape],
+                         lambda: oracle.camera_radiance(bodies, lights, o, d, bounces, subdivisions=4))  # fmt: skip
     film.prepare([])
     block = film.create_block()
     value = mi.Color3f(L.T.astype(np.float32)) * weight
