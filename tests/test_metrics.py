@@ -80,6 +80,7 @@ def test_time_to_an_error_that_is_never_reached():
     t = np.geomspace(0.1, 10, 40)
     assert race.seconds_to(list(zip(t, 0.1 + 1e-3 / t)), 0.01) == (None, True)
     assert race.seconds_to([(1.0, 0.2), (2.0, 0.1)], 0.01) == (None, True)
+    assert race.seconds_to([(1.0, 0.2), (2.0, 0.1)], 0.01, power=1) == (pytest.approx(20.0), True)
 
 
 def test_an_error_counts_from_where_the_curve_stays_below():

@@ -75,7 +75,9 @@ def _rows(subject, setup, reference, runs):
     for run in runs:
         found = metrics.all_of(run.image, reference)
         wanted = rows[0]["relmse"] if rows else found["relmse"]
-        seconds, extrapolated = race.seconds_to(run.curve, wanted) if rows else (run.wall_seconds, False)
+        seconds, extrapolated = run.wall_seconds, False
+        if rows:
+            seconds, extrapolated = race.seconds_to(run.curve, wanted, race.POWERS.get(run.method))
         rows.append({
             **results.row(scene=subject.name, method=run.method, variant=setup.variant, triangles=subject.triangles,
                           settings={**run.settings, "resolution": list(reference.shape[1::-1])}, samples=run.samples,

@@ -55,8 +55,8 @@ def write(path, outcomes, machine, summary=""):
 EXPLANATION = (
     "<p class='note'>Each method had the same wall time after a warm-up, single scattering alone. relMSE: mean of ((a - b) / max(b, "
     "0.01 mean b))&sup2;; L1: sum |a - b| / sum b; p99: 99th percentile of |a - b| / max(b, 0.01 mean b); bias: sum a / sum b - 1; "
-    "FLIP: HDR-FLIP. Time to the quality of the first: &dagger; extrapolated by the power of time with which the error fell; "
-    "&mdash; where it hardly falls. Bidirectional path tracing has no strategy for these paths (each edge ends in a "
+    "FLIP: HDR-FLIP. Time to the quality of the first: &dagger; extrapolated by the power of time with which the error fell (of "
+    "<code>volpath</code>: inversely with time, since its samples are independent); &mdash; where it hardly falls. Bidirectional path tracing has no strategy for these paths (each edge ends in a "
     "specular vertex, so that no connection exists): <code>volpath</code> stands in its place, with small spheres for points.</p>"
 )
 
@@ -107,22 +107,23 @@ def _pictures(outcome):
 
 
 def _interesting(image):
-    """Place and edge of the square with the strongest contrast."""
+    """Place and edge of the square with the strongest contrast between neighbours, of those that are lit as far as any is."""
     import numpy as np
 
     size = max(1, min(image.shape[:2]) // INSET)
-    light = np.log(image.mean(axis=-1) + metrics.DARK * image.mean())
-    places = [(y, x) for y in range(0, image.shape[0] - size + 1, max(1, size // 2))
-              for x in range(0, image.shape[1] - size + 1, max(1, size // 2))]  # fmt: skip
-    # Contrast between neighbours, not that of a silhouette with the dark around it.
-    lit = light > np.log(2 * metrics.DARK * image.mean())
+    step = max(1, size // 4)
+    light = image.mean(axis=-1) + metrics.DARK * image.mean()
+    lit, edges = light > 0.1 * image.mean(), np.zeros(light.shape)
+    for axis in range(2):
+        edges += np.abs(np.gradient(np.log(light), axis=axis)) if light.shape[axis] > 1 else 0
+    places = [
+        (y, x) for y in range(0, image.shape[0] - size + 1, step) for x in range(0, image.shape[1] - size + 1, step)
+    ]
 
-    def contrast(place):
-        y, x = place
-        window = light[y : y + size, x : x + size]
-        return window.std() * lit[y : y + size, x : x + size].mean() ** 4
+    def window(of, place):
+        return of[place[0] : place[0] + size, place[1] : place[1] + size].mean()
 
-    return (*max(places, key=contrast), size)
+    return (*max(places, key=lambda place: (window(lit, place), window(edges, place))), size)
 
 
 def _false_colour(image, reference):
