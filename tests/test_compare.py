@@ -78,13 +78,13 @@ def test_volpath_finds_the_same_light_as_ours(rgb, monkeypatch):
     case = Case(lambda: {"light": point_light((1.6, 2.2, 1.3), intensity.tolist()), "body": {
         "type": "cube", "bsdf": glass(1.3), "interior": WITHIN}})  # fmt: skip
     scenes = [methods.for_volpath(case.scene({"type": "path"}, **changes)) for changes in ({}, {"albedo": 0.0})]
-    theirs = [np.subtract(*(np.array(mi.render(x, seed=k, spp=256)) for x in scenes)) for k in range(32)]
+    theirs = [np.subtract(*(np.array(mi.render(x, seed=k, spp=256)) for x in scenes)) for k in range(16)]
     ball = {"type": "sphere", "center": [1.6, 2.2, 1.3], "radius": radius,
             "emitter": {"type": "area", "radiance": colour(*(intensity / (np.pi * radius**2)).tolist())}}  # fmt: skip
     parts = {**case.parts(), "light": ball}
     options = {"type": "refscatter", "surfaces": False, "internal_bounces": 0, "culling": "spindle"}
     scene = Case(lambda: parts).scene(options)
-    ours = [np.array(mi.render(scene, seed=k, spp=32)) for k in range(8)]
+    ours = [np.array(mi.render(scene, seed=k, spp=16)) for k in range(8)]
     check(compare(np.array(ours), np.array(theirs), BLOCK), mean_error=0.02, block_error=0.12)
 
 
