@@ -15,7 +15,7 @@ REFERENCE_TIME = 8.0
 """Time of the reference relative to that of a method."""
 REFERENCE_SEED = 1000
 """Other places in the pixels than those of the methods."""
-CHECKED = {"bumpy_sphere": (1e-3, 5e-3)}
+CHECKED = {"bumpy_sphere": (3e-4, 7e-3), "sphere": (5e-5, 1e-3), "rounded_cube": (5e-4, 4e-3), "branches": (3e-3, 8e-3)}
 """What the reference is within on scenes of this package: of a float64 oracle (sum |a - b| / sum b over camera rays) and of long photon
 beams (mean). ``tests/test_reference.py`` measures that."""
 LONGEST = 8.0

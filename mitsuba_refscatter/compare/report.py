@@ -16,7 +16,8 @@ STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; margin: 24px auto; max-width: 1240px; padding: 0 20px; color: #222; }
 h1 { font-size: 24px; } h2 { font-size: 19px; margin-top: 40px; border-top: 1px solid #ccc; padding-top: 16px; }
 table { border-collapse: collapse; margin: 12px 0; font-variant-numeric: tabular-nums; font-size: 14px; }
-th, td { text-align: right; padding: 3px 10px; border-bottom: 1px solid #e3e3e3; white-space: nowrap; }
+th, td { text-align: right; padding: 3px 8px; border-bottom: 1px solid #e3e3e3; } td { white-space: nowrap; }
+th { vertical-align: bottom; }
 th:first-child, td:first-child { text-align: left; }
 .grid { display: grid; gap: 6px; margin: 12px 0; }
 .grid div { font-size: 12px; overflow-wrap: anywhere; }

@@ -75,7 +75,7 @@ def summary(outcomes):
         cells = [outcome.subject.name, f"{outcome.subject.triangles:,}", f"{outcome.rows[0]['relmse']:.1e}"]
         cells += [report.told_time(rows[name]) if name in rows else "" for name in names]
         lines.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
-    heads = ["scene", "triangles", f"relMSE of {names[0]}", *names]
+    heads = ["scene", "triangles", f"relMSE of {names[0]}", *(name.replace("_", " ") for name in names)]
     table = f"<table><tr>{''.join(f'<th>{head}</th>' for head in heads)}</tr>{''.join(lines)}</table>"
     return f"<h2>Seconds to the quality of {names[0]}</h2>{table}<h2>Cost and triangles</h2><figure>{_plot(outcomes)}</figure>"
 
