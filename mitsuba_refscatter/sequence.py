@@ -97,18 +97,18 @@ class Sequence:
         first = mi.sample_tea_32(pixel // several, dr.opaque(mi.UInt32, self.seed), ROUNDS)[0]
         group = (pixel + first % several) % several
         which = group * dr.opaque(mi.UInt32, points) + number // dr.opaque(mi.UInt32, each)
-        rng, digits = np.random.default_rng(self.seed), (points - 1).bit_length()
-        index = batch.first // batch.per_pixel * points + np.arange(points)
-        numbers = np.stack([sobol(index, k) ^ self._turns(groups, digits, k, rng)[:, None] for k in LIGHT], axis=-1)
+        digits = (points - 1).bit_length()
+        index = batch.first * points // batch.per_pixel + np.arange(points)
+        numbers = np.stack([sobol(index, k) ^ self._turns(groups, digits, k)[:, None] for k in LIGHT], axis=-1)
         return numbers.reshape(-1, 2) / 2.0**BITS, which
 
-    @staticmethod
-    def _turns(groups, digits, dimension, rng):
+    def _turns(self, groups, digits, dimension):
         """Of groups whose first numbers differ in the leading ``digits``: uint32."""
-        ahead = sobol(np.arange(groups) << digits, dimension)
+        ahead, rng = sobol(np.arange(groups) << digits, dimension), np.random.default_rng([self.seed, dimension])
         out = np.full(groups, rng.integers(2**BITS), dtype=np.uint32)
         for row in range(BITS):
             bit = 1 << (BITS - 1 - row)
-            column = bit | (int(rng.integers(bit)) if row >= digits else 0)
+            below = int(rng.integers(bit))
+            column = bit | (below if row >= digits else 0)
             out ^= np.where(ahead & np.uint32(bit), np.uint32(column), np.uint32(0))
         return out

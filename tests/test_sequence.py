@@ -64,6 +64,15 @@ def test_all_light_points_of_a_pass_are_evenly_spread(per_pixel, light_samples):
     assert len(np.unique(np.concatenate(pools), axis=0)) == 2 * light_samples
 
 
+def test_passes_may_grow():
+    """Where each sample has a light point of its own (one group of pixels), the sequence goes on whatever the passes' sizes."""
+    sizes, made = (1, 1, 2, 4, 7, 5), Sequence(5)
+    batches = [Batch(sum(sizes[:k]), size) for k, size in enumerate(sizes)]
+    x = np.concatenate([numbers(made, [batch], 1, batch.per_pixel)[0] for batch in batches], axis=1)[0]
+    plain = np.stack([sequence.sobol(np.arange(sum(sizes)), k) for k in PLACE + LIGHT], axis=-1) >> 8
+    assert ((x ^ plain) == (x ^ plain)[0]).all()
+
+
 def test_few_light_points_are_shared():
     """By consecutive samples, as evenly as it goes; they go on in the next pass."""
     x, which = numbers(Sequence(5), [Batch(0, 10), Batch(10, 10)], 3, 4)
