@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Optional
 
 import typer
+from rich.markup import escape
 
 from . import output
 from . import scenes as scene_files
 from .compare import duel, race, report, results
 from .compare import suite as suites
 from .compare.methods import METHODS
-from .console import Failure, defines, known, load, measurable, out, plainly, progress_bar, require, table
+from .console import Failure, cause, defines, known, load, measurable, out, plainly, progress_bar, require, table
 
 app = typer.Typer()
 
@@ -65,9 +66,12 @@ def compare(
     if scene is None:
         _suite(directory, methods, setup, resolution)
         return
-    name = scene.parent.name if scene.stem == "scene" else scene.stem
-    subject = replace(duel.Subject.of(name, lambda: load(scene, values)), shipped=scene_files.made_as(scene))
-    outcome = _run(subject, methods, setup, None if reference is None else _image_at(reference))
+    name = scene.resolve().parent.name if scene.stem == "scene" else scene.stem
+    try:
+        subject = replace(duel.Subject.of(name, lambda: load(scene, values)), shipped=scene_files.made_as(scene))
+        outcome = _run(subject, methods, setup, None if reference is None else _image_at(reference))
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise Failure(cause(error)) from error
     _write(directory, [outcome])
 
 
@@ -77,7 +81,7 @@ def _suite(directory, methods, setup, resolution):
     with tempfile.TemporaryDirectory() as files:
         for case in suites.CASES:
             wanted = [name for name in methods if name in case.methods]
-            if wanted:
+            if methods[0] in wanted:  # which sets the quality
                 of_case = replace(setup, internal_bounces=case.internal_bounces)
                 outcomes.append(_run(case.subject(files, resolution), wanted, of_case))
                 _write(directory, outcomes, suites.summary(outcomes))
@@ -102,11 +106,11 @@ def _run(subject, methods, setup, reference=None):
     """``duel.compare`` with a progress bar, and its table."""
     total = len(methods) + (race.REFERENCE_TIME if reference is None else 0)
     with progress_bar() as bar:
-        task, done, weight = bar.add_task(subject.name, total=total), {}, {"reference": race.REFERENCE_TIME}
+        task, done, weight = bar.add_task(escape(subject.name), total=total), {}, {"reference": race.REFERENCE_TIME}
 
         def tell(stage, fraction):
             done[stage] = weight.get(stage, 1.0) * fraction
-            bar.update(task, description=f"{subject.name}: {stage}", completed=sum(done.values()))
+            bar.update(task, description=f"{escape(subject.name)}: {stage}", completed=sum(done.values()))
 
         outcome = duel.compare(subject, methods, setup, reference, tell)
     shown = table(
@@ -121,7 +125,8 @@ def _run(subject, methods, setup, reference=None):
         shown.add_row(row["method"], str(row["samples"]), f"{row['wall_seconds']:.2f}", f"{row['warm_up_seconds']:.1f}",
                       *(f"{row[key]:.2e}" for key in ("relmse", "mean_relative_error", "p99_relative_error")),
                       f"{row['bias']:+.1e}", f"{row['flip']:.3f}", to_first)  # fmt: skip
-    out.print(f"{subject.name}, {subject.triangles} triangles; reference: {outcome.about}", shown, sep="\n")
+    out.print(f"{subject.name}, {subject.triangles} triangles; reference: {outcome.about}", markup=False)
+    out.print(shown)
     return outcome
 
 

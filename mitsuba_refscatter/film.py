@@ -19,6 +19,8 @@ def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progres
     if spp:
         sampler.set_sample_count(spp)
     spp = sampler.sample_count()
+    if watch is not None:
+        sampler = mi.load_dict({"type": "independent"})  # others do not take any number of samples
     border = film.rfilter().border_size() if film.sample_border() else 0
     size = film.crop_size() + 2 * border
     pixels = int(size[0]) * int(size[1])

@@ -77,7 +77,7 @@ class Sequence:
         out = []
         for k in dimensions:
             table = lanes.array(mi.UInt32, sobol(batch.first + np.arange(batch.per_pixel), k))
-            turn = mi.sample_tea_32(pixel, dr.opaque(mi.UInt32, (self.seed + k) & 0xFFFFFFFF), ROUNDS)[0]
+            turn = mi.sample_tea_32(pixel, self._stream(k), ROUNDS)[0]
             out.append(mi.Float((dr.gather(mi.UInt32, table, number) ^ turn) >> 8) * 2.0**-24)
         return mi.Point2f(*out)
 
@@ -94,13 +94,17 @@ class Sequence:
         groups = max(1, light_samples // points)
         pixel, number = batch.split(n)
         several = dr.opaque(mi.UInt32, groups)
-        first = mi.sample_tea_32(pixel // several, dr.opaque(mi.UInt32, self.seed), ROUNDS)[0]
+        first = mi.sample_tea_32(pixel // several, self._stream(len(DIRECTIONS)), ROUNDS)[0]
         group = (pixel + first % several) % several
         which = group * dr.opaque(mi.UInt32, points) + number // dr.opaque(mi.UInt32, each)
         digits = (points - 1).bit_length()
         index = batch.first * points // batch.per_pixel + np.arange(points)
         numbers = np.stack([sobol(index, k) ^ self._turns(groups, digits, k)[:, None] for k in LIGHT], axis=-1)
         return numbers.reshape(-1, 2) / 2.0**BITS, which
+
+    def _stream(self, k):
+        """A second argument for the cipher, another for each k and for each seed."""
+        return dr.opaque(mi.UInt32, ((len(DIRECTIONS) + 1) * self.seed + k) & 0xFFFFFFFF)
 
     def _turns(self, groups, digits, dimension):
         """Of groups whose first numbers differ in the leading ``digits``: uint32."""

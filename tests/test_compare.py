@@ -58,12 +58,18 @@ def test_compare_with_a_given_reference_and_equal_quality(tmp_path):
     assert rows[1]["curve"][-1][0] >= race.LONGEST * 0.1 / race.GROWTH > rows[0]["curve"][-1][0]
 
 
+@needs_variant
 def test_compare_says_what_is_wrong(tmp_path):
     unknown = refscatter("compare", SPHERE, "--methods", "refscatter,bdpt", "-o", tmp_path)
     assert unknown.returncode == 2 and "bdpt" in unknown.stderr and "volpath" in unknown.stderr
     assert refscatter("compare", "-o", tmp_path).returncode == 2
     assert refscatter("compare", SPHERE, "--suite", "-o", tmp_path).returncode == 2
     (tmp_path / "no.exr").write_bytes(b"no image")
+    mi.Bitmap(np.ones((8, 8, 3), np.float32)).write(str(tmp_path / "small.exr"))
+    mi.Bitmap(np.zeros((16, 16, 3), np.float32)).write(str(tmp_path / "black.exr"))
+    for name, words in (("small", ("8 x 8", "16 x 16")), ("black", ("black",))):
+        done = refscatter("compare", SPHERE, "--reference", tmp_path / f"{name}.exr", *QUICK, "-o", tmp_path)
+        assert_one_sentence(done, *words)
     assert_one_sentence(refscatter("compare", tmp_path / "none.xml", *QUICK, "-o", tmp_path), "none.xml")
     assert_one_sentence(
         refscatter("compare", SPHERE, "--reference", tmp_path / "no.exr", *QUICK, "-o", tmp_path), "no.exr"
@@ -86,6 +92,34 @@ def test_volpath_finds_the_same_light_as_ours(rgb, monkeypatch):
     scene = Case(lambda: parts).scene(options)
     ours = [np.array(mi.render(scene, seed=k, spp=16)) for k in range(8)]
     check(compare(np.array(ours), np.array(theirs), BLOCK), mean_error=0.02, block_error=0.12)
+
+
+@pytest.mark.parametrize("sampler", ["independent", "stratified", "multijitter", "orthogonal", "ldsampler"])
+def test_passes_grow_whatever_the_sampler(rgb, sampler):
+    """Passes of any size, also those that a sampler does not take; all samples count alike."""
+    parts = Case(
+        lambda: {
+            "light": point_light((1.6, 2.2, 1.3)),
+            "body": {"type": "cube", "bsdf": glass(1.3), "interior": WITHIN},
+        }
+    )
+    scene = parts.scene({"type": "path"})
+    sensor = mi.load_dict({
+        "type": "perspective", "fov": 34, "to_world": mi.ScalarTransform4f().look_at([0.3, 0.5, 5], [0, 0, 0], [0, 1, 0]),
+        "sampler": {"type": sampler}, "film": {"type": "hdrfilm", "width": 8, "height": 8, "pixel_format": "rgb"}})  # fmt: skip
+    integrator, sizes, seen = mi.load_dict({"type": "refscatter", "surfaces": False}), [1, 2, 5, 8, 0], []
+
+    def watch(samples, image):
+        seen.append(samples)
+        return sizes[len(seen) - 1]
+
+    expected = np.array(integrator.render(scene, sensor, spp=64))
+    integrator.watch = watch
+    found = np.array(integrator.render(scene, sensor, spp=1 << 20))
+    assert seen == [1, 2, 4, 9, 17]
+    assert np.abs(found - expected).sum() < 0.1 * expected.sum() and found.sum() == pytest.approx(
+        expected.sum(), rel=0.01
+    )
 
 
 def test_the_suite_can_be_made(rgb, tmp_path):

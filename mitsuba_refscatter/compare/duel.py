@@ -41,12 +41,21 @@ def compare(subject, names, setup, reference=None, report=lambda stage, fraction
     Own keys of rows: ``seconds`` that were given, ``warm_up_seconds``, ``seconds_to_first`` (until the relMSE of the first method is reached;
     None where it never will be), ``extrapolated``, ``curve``.
     """
+    import numpy as np
+
     scene, about = subject.load(), "as given"
+    size = tuple(scene.sensors()[0].film().crop_size())
+    if reference is not None and reference.shape[1::-1] != size:
+        raise ValueError(
+            f"the reference has {reference.shape[1]} x {reference.shape[0]} pixels, the film {size[0]} x {size[1]}"
+        )
     if reference is None:
         found = race.reference(scene, setup, lambda x: report("reference", x))
         reference = found.image
         about = (f"curve at tolerance {race.REFERENCE_TOLERANCE:g}, {found.samples} samples per pixel, "
-                 f"{found.wall_seconds:.1f} s{_checked(subject.shipped)}")  # fmt: skip
+                 f"{found.wall_seconds:.1f} s{'' if setup.internal_bounces else _checked(subject.shipped)}")  # fmt: skip
+    if not np.isfinite(reference).all() or not reference.mean() > 0:
+        raise ValueError("the reference is black or holds numbers that are not finite: nothing can be compared with it")
     runs, wanted = [], None
     for name in names:
         loaded, clear = scene, None
@@ -66,8 +75,8 @@ def _checked(shipped):
     if shipped not in race.CHECKED:
         return ""
     against_oracle, against_beams = race.CHECKED[shipped]
-    return (f"; such images of {shipped} are within {against_oracle:g} (L1) of a float64 oracle, and within {against_beams:g} (mean) of "
-            "long photon beams")  # fmt: skip
+    return (f"; along camera rays into {shipped} it is within {against_oracle:g} (L1) of a float64 oracle, and within {against_beams:g} "
+            "(mean) of long photon beams")  # fmt: skip
 
 
 def _rows(subject, setup, reference, runs):

@@ -157,6 +157,7 @@ def _volpath(scene, clear, setup, truth, wanted, report):
     for warm_up in (scene, clear):
         integrator.render(warm_up, seed=0, spp=1)
     run.warm_up_seconds, samples = time.perf_counter() - start, 1
+    _timed(integrator, scene, 2)  # what is compiled for several samples
     while _timed(integrator, scene, samples) < setup.seconds / STEPS and samples < MOST:
         samples *= 2
     follower, total, seed, more = _Follower(run, truth, setup.seconds, wanted, report), 0.0, 1, 1

@@ -89,7 +89,7 @@ class PhotonIntegrator(RefscatterIntegrator):
                    for light in lights]  # fmt: skip
         total = sum(target.flux for target in targets if target is not None)
         for light, target in zip(lights, targets):
-            count = 0 if target is None else round(opt.photons * target.flux / total)
+            count = 0 if target is None else max(1, round(opt.photons * target.flux / total))
             found = _shoot(prepared, region, body, light, target, count, rng) if count > 0 else None
             if found is not None:
                 shot.append(found)
