@@ -66,12 +66,12 @@ class Case:
         parts = {"type": "scene", "a_medium": {**self.medium(), **changes}, "integrator": integrator}
         return mi.load_dict({**parts, "sensor": camera(), **self.parts()}, optimize=self.optimize)
 
-    def ours_at(self, seed=0):
+    def by_refscatter(self):
         """Renders by refscatter, (replicates, H, W, 3)."""
         scene = self.scene({"type": "refscatter", "surfaces": False, "internal_bounces": 0, **self.options})
-        return np.array([np.array(mi.render(scene, seed=seed + k, spp=self.ours[1])) for k in range(self.ours[0])])
+        return np.array([np.array(mi.render(scene, seed=k, spp=self.ours[1])) for k in range(self.ours[0])])
 
-    def theirs_at(self, seed=0):
+    def by_volpath(self, seed=0):
         """The same by volpath."""
         volpath = {"type": "volpath", "max_depth": self.depth, "rr_depth": 1000}
         both, images = (self.scene(volpath), self.scene(volpath, albedo=0.0)), []
@@ -89,8 +89,8 @@ class Case:
             "depth": self.depth,
             "renders": self.theirs,
         }
-        return references.of(name, scene, self.theirs_at, BLOCK)
+        return references.of(name, scene, self.by_volpath, BLOCK)
 
     def agreement(self, name):
         """``Agreement`` of refscatter with what is kept of volpath."""
-        return compare(self.ours_at(), self.kept(name), BLOCK)
+        return compare(self.by_refscatter(), self.kept(name), BLOCK)

@@ -57,7 +57,7 @@ def median_order(points):
 
 
 def morton_order(points):
-    """The same along a Morton curve: about seven times quicker to find, for trees that are walked once, and leaves are larger."""
+    """The same along a Morton curve: quicker to find, for trees that are walked once, and leaves are larger."""
     low = points.min(axis=0)
     scale = (2.0**21 - 1) / max(float((points.max(axis=0) - low).max()), 1e-30)
     code = np.zeros(len(points), dtype=np.uint64)
