@@ -47,18 +47,22 @@ def concat(parts):
 
 
 def chosen(*masks):
-    """Indices of the lanes in each of the masks, found in the one kernel that computes these.
+    """For each of several tuples of masks, which mean lane 0's first, second, ... thing, then lane 1's and so on: the numbers of
+    the things in them, found in the one kernel that computes these.
 
     Nearly in order, not exactly. Cheaper than ``dr.compress``, which reads the masks again.
     """
-    n = dr.width(masks)
-    i, found = dr.arange(mi.UInt32, n), []
-    for mask in masks:
-        counter, out = dr.zeros(mi.UInt32), dr.empty(mi.UInt32, n)
-        dr.scatter(out, i, dr.scatter_inc(counter, mi.UInt32(0), mask), mask)
-        found.append((counter, out))
+    n, found = dr.width(masks), []
+    i = dr.arange(mi.UInt32, n)
+    for several in masks:
+        parts = []
+        for j, mask in enumerate(several):
+            counter, out = dr.zeros(mi.UInt32), dr.empty(mi.UInt32, n)
+            dr.scatter(out, i * len(several) + j, dr.scatter_inc(counter, mi.UInt32(0), mask), mask)
+            parts.append((counter, out))
+        found.append(parts)
     dr.eval(found)
-    return [gather(out, dr.arange(mi.UInt32, int(counter[0]))) for counter, out in found]
+    return [concat(gather(out, dr.arange(mi.UInt32, int(counter[0]))) for counter, out in parts) for parts in found]
 
 
 def repeat(counts):

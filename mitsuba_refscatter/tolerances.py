@@ -139,14 +139,26 @@ FOLD_STEPS = 4
 PIECES = 1 << 21
 """Most parts of beams that are looked at in one kernel."""
 
-CHUNK_PAIRS = 1 << 22
-"""Places of the (segment, leaf) buffer: 32 MiB; with what the filter makes of it about 0.5 GiB."""
+SAMPLED = 3.0
+"""How many times the deviation in a beam's middle its length is uncertain elsewhere."""
 
-CHUNK_SEGMENTS = 1 << 16
-"""Most segments that are traversed in one kernel: keeps kernels well below a second."""
+SAMPLED_LEAST = 1e-3
+"""The same at least, relative to the length."""
 
-FIRST_CHUNK = 1 << 11
-"""Segments in the first chunk, whose pairs tell how long the next may be."""
+BUNDLED = 4
+"""Camera segments that go through the tree of light beams together."""
+
+BUNDLE = 2.0
+"""How far apart segments that go through a tree together may be, relative to the width of light beams."""
+
+CHUNK_PAIRS = 1 << 20
+"""Places of the (bundle, leaf) buffer: 8 MiB; with what the filter makes of it about 0.5 GiB."""
+
+CHUNK_BUNDLES = 1 << 16
+"""Most bundles of camera segments that are traversed in one kernel: keeps kernels well below a second."""
+
+FIRST_CHUNK = 1 << 10
+"""Bundles in the first chunk, whose pairs tell how long the next may be."""
 
 PASS_SAMPLES = 1 << 18
 """Most camera samples in one pass of the film, and most sample points of camera segments at a time."""
@@ -179,6 +191,7 @@ class Accuracy:
     panel_points: int
     lobes: float
     adapts: bool = True
+    samples_reach: bool = False
 
 
 def accuracy(tolerance):
@@ -196,6 +209,7 @@ def accuracy(tolerance):
             panels=6,
             panel_points=2,
             lobes=1e-2,
+            samples_reach=True,
         )
     if tolerance >= 0.01:
         return Accuracy(
@@ -210,6 +224,7 @@ def accuracy(tolerance):
             panels=12,
             panel_points=2,
             lobes=1e-3,
+            samples_reach=True,
         )
     if tolerance >= 0.001:
         return Accuracy(

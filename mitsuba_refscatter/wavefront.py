@@ -10,7 +10,8 @@ import drjit as dr
 import mitsuba as mi
 
 from . import lanes, tolerances
-from .culling.pairs import Pairs, pairs_at
+from .culling.bundles import Bundles, bundles_of
+from .culling.pairs import Pairs
 from .estimators import point
 from .estimators.lighting import Lighting, Sums
 from .geometry import bvh
@@ -41,8 +42,7 @@ class Segments:
 
     @property
     def inverse_d(self):
-        """1 / d with zeros kept finite, for box tests."""
-        return mi.Vector3f(*(dr.rcp(dr.select(dr.abs(x) < 1e-20, dr.mulsign(1e-20, x), x)) for x in self.d))
+        return bvh.finite_inverse(self.d)
 
     def __len__(self):
         return dr.width(self.t_max)
@@ -62,22 +62,21 @@ class Counts:
 
 @dataclass
 class Pace:
-    """How many segments are traversed at once: goes on from light to light and from pass to pass, as their pairs are about as
-    many."""
+    """How many bundles of segments are traversed at once: goes on from light to light and from pass to pass, as their pairs are
+    about as many."""
 
-    segments: int = 0
+    bundles: int = 0
 
     def __post_init__(self):
-        self.segments = self.segments or tolerances.FIRST_CHUNK
+        self.bundles = self.bundles or tolerances.FIRST_CHUNK
 
     def slower(self, size, found):
-        """After ``size`` segments had too many pairs, ``found``."""
-        self.segments = max(1, min(size - 1, _fitting(size, found)))
+        """After ``size`` bundles had too many pairs, ``found``."""
+        self.bundles = max(1, min(size - 1, _fitting(size, found)))
 
     def next(self, size, found):
-        """After ``size`` segments had ``found`` pairs. Neighbouring segments are alike, distant ones are not: it grows step by
-        step."""
-        self.segments = min(tolerances.CHUNK_SEGMENTS, _fitting(size, found), max(4 * size, self.segments))
+        """After ``size`` bundles had ``found`` pairs. Neighbouring ones are alike, distant ones are not: it grows step by step."""
+        self.bundles = min(tolerances.CHUNK_BUNDLES, _fitting(size, found), max(4 * size, self.bundles))
 
 
 def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=False, progress=None, pace=None):
@@ -112,31 +111,33 @@ def _sweep(segments, culling, lighting, accuracy, estimator, detail, progress, p
     """``scatter`` with all segments as they are."""
     n = len(segments)
     sums, counts = Sums.nothing(n, detail), Counts(segments=n)
-    work = Work(sums, segments, culling, lighting, accuracy, estimator)
-    for lane, leaf, found, done in chunks(n, work.traverse, pace):
+    bundles = bundles_of(segments, culling.bundle, culling.width)
+    work = Work(sums, segments, bundles, culling, lighting, accuracy, estimator)
+    n_bundles = len(bundles)
+    for lane, leaf, found, done in chunks(n_bundles, work.traverse, pace):
         counts.leaves += found
         if found > 0:
             whole, parts = work.filter(lane, leaf, found)
             work.solve(whole)
             work.refine(parts)
         if progress is not None:
-            progress(done, n)
+            progress(done, n_bundles)
     return sums.first(n), counts
 
 
 def chunks(n, traverse, pace):
-    """Takes ``n`` camera segments through a tree, as many at once as the buffer holds pairs of.
+    """Takes ``n`` bundles (or single segments) through a tree, as many at once as the buffer holds pairs of.
 
-    ``traverse(start, size)``: as ``bvh.traverse`` with that many segments from ``start`` on. Yields its ``(segment, leaf, found)`` and
-    the number of segments that are done.
+    ``traverse(start, size)``: as ``bvh.traverse`` with that many from ``start`` on. Yields its ``(bundle, leaf, found)`` and the number
+    of those that are done.
     """
     start = 0
     while start < n:
-        size = min(pace.segments, n - start)
+        size = min(pace.bundles, n - start)
         lane, leaf, found = traverse(start, size)
         if found > tolerances.CHUNK_PAIRS:
             if size == 1:
-                raise RuntimeError(f"refscatter: one camera segment meets {found} leaves of a tree, the buffer holds "
+                raise RuntimeError(f"refscatter: a bundle of camera segments meets {found} leaves of a tree, the buffer holds "
                                    f"{tolerances.CHUNK_PAIRS}; raise tolerances.CHUNK_PAIRS")  # fmt: skip
             pace.slower(size, found)
             continue
@@ -169,36 +170,46 @@ class Work:
 
     sums: Sums
     segments: Segments
+    bundles: Bundles
     culling: object
     lighting: Lighting
     accuracy: tolerances.Accuracy
     estimator: object
 
     def traverse(self, start, size):
-        """The (segment, leaf) pairs of ``size`` segments from ``start`` on, as ``bvh.traverse`` gives them."""
+        """The (bundle, leaf) pairs of ``size`` bundles from ``start`` on, as ``bvh.traverse`` gives them."""
         index = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, size)
-        hit = self.culling.node_test(self.segments.gather(index), self.lighting.at(index).light)
+        bundles = self.bundles.gather(index)
+        hit = self.culling.node_test(bundles, self.lighting.at(bundles.first).light)
         return bvh.traverse(self.culling.tree, index, hit, tolerances.CHUNK_PAIRS)
 
     def filter(self, lane, leaf, found):
-        """Of the first ``found`` (segment, leaf) pairs: the (segment, beam) pairs that can be solved whole, and those
+        """Of the first ``found`` (bundle, leaf) pairs: the (segment, beam) pairs that can be solved whole, and those
         whose beams must be cut."""
-        pairs = pairs_at(lane, leaf, dr.arange(mi.UInt32, found * bvh.LEAF))
-        active, zeros, bent = self.classify(pairs)
-        self.sums.look_at(pairs, zeros.possible if self.culling.for_one_light else active)
-        whole, parts = lanes.chosen(zeros.bracketed & ~bent, zeros.possible & bent)
-        return pairs_at(lane, leaf, whole), pairs_at(lane, leaf, parts)
+        place, most = dr.arange(mi.UInt32, found * bvh.LEAF), dr.opaque(mi.UInt32, self.bundles.most)
+        pairs = self.bundles.pairs(lane, leaf, place * most)
+        count, taken, masks = lanes.gather(self.bundles.count, lanes.gather(lane, place // bvh.LEAF)), None, []
+        for j in range(self.bundles.most):
+            active, zeros, bent, taken = self._look(pairs, taken, j < count)
+            self.sums.look_at(pairs, zeros.possible if self.culling.for_one_light else active)
+            masks.append((zeros.bracketed & ~bent, zeros.possible & bent))
+            pairs = Pairs(pairs.segment + 1, pairs.beam)
+        return [self.bundles.pairs(lane, leaf, index) for index in lanes.chosen(*zip(*masks))]
 
     def classify(self, pairs):
         """Which pairs exist, where they may contribute, and which of them are too complicated."""
-        segment, light = self.segments.gather(pairs.segment), self.lighting.at(pairs.segment).light
-        exists = self.culling.plausible(pairs, segment, light)
-        taken = self.culling.take(pairs, light, exists)
+        return self._look(pairs)[:3]
+
+    def _look(self, pairs, taken=None, active=True):
+        """``classify`` for the ``active`` ones; and what the culling knows of the pairs, ``taken`` if that is known already."""
+        segment, light = self.segments.gather(pairs.segment, active), self.lighting.at(pairs.segment).light
+        exists = self.culling.plausible(pairs, segment, light) & active
+        taken = taken or self.culling.take(pairs, light, exists)
         zeros = self.estimator.classify(taken.piece, segment)
         zeros.possible &= exists
         zeros.bracketed &= exists
         bent = zeros.nonlinearity > dr.opaque(mi.Float, self.accuracy.linear)
-        return exists, zeros, bent | taken.coarse if self.estimator.needs_fine else bent
+        return exists, zeros, bent | taken.coarse if self.estimator.needs_fine else bent, taken
 
     def solve(self, pairs):
         """Accumulates the pairs, and where the curve is too complicated the parts into which it is cut."""
@@ -246,5 +257,5 @@ class Work:
 
 
 def _fitting(size, found):
-    """Segments whose pairs should fill 80 % of the buffer, judged by ``size`` that had ``found``."""
+    """Bundles whose pairs should fill 80 % of the buffer, judged by ``size`` that had ``found``."""
     return int(0.8 * size * tolerances.CHUNK_PAIRS / max(found, 1)) + 1

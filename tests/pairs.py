@@ -14,9 +14,10 @@ from meshes import BoxTree, Mesh, dot, icosphere, make_patches, norm, take, tria
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from mitsuba_refscatter import tolerances, wavefront
-from mitsuba_refscatter.culling.pairs import pairs_at
+from mitsuba_refscatter.culling.bundles import bundles_of
 from mitsuba_refscatter.estimators.lighting import Sums
 from mitsuba_refscatter.geometry import bvh
+from mitsuba_refscatter.kept import Kept
 from mitsuba_refscatter.options import Options
 
 SIGMA = 0.5
@@ -203,7 +204,7 @@ class Culling:
     def __init__(self, scene, **options):
         from mitsuba_refscatter.integrators.lit import Prepared  # made anew for each variant
 
-        self.prepared = Prepared(scene, Options(**options), lambda: 0)
+        self.prepared = Prepared(scene, Options(**options), lambda: 0, Kept())
         self.body, light = self.prepared.scene.bodies[0], self.prepared.scene.lights[0]
         self.lighting, self.culling = self.prepared.lit(self.body, self.prepared.scene.regions[0], light.exact)
 
@@ -214,13 +215,15 @@ class Culling:
     def work(self, segments, **changes):
         """The stages of the wavefront, with nothing summed yet."""
         parts = {"sums": Sums.nothing(len(segments)), "segments": segments, "culling": self.culling,
+                 "bundles": bundles_of(segments, self.culling.bundle, self.culling.width),
                  "lighting": self.lighting, "accuracy": self.prepared.accuracy,
                  "estimator": self.prepared.estimator}  # fmt: skip
         return wavefront.Work(**{**parts, **changes})
 
     def leaves(self, segments):
-        """The (segment, leaf) pairs of the tree: two index arrays, of which the first ``found`` places count."""
-        lane, leaf, found = self.work(segments).traverse(0, len(segments))
+        """The (bundle, leaf) pairs of the tree: two index arrays, of which the first ``found`` places count."""
+        work = self.work(segments)
+        lane, leaf, found = work.traverse(0, len(work.bundles))
         assert found <= tolerances.CHUNK_PAIRS
         return lane, leaf, found
 
@@ -231,7 +234,10 @@ class Culling:
         lane, leaf, found = self.leaves(segments)
         if found == 0:
             return np.zeros(0, int), np.zeros(0, int), 0
-        pairs = pairs_at(lane, leaf, dr.arange(mi.UInt32, found * bvh.LEAF))
+        index, per_pair = dr.arange(mi.UInt32, found * bvh.LEAF * work.bundles.most), bvh.LEAF * work.bundles.most
+        pairs, bundle = work.bundles.pairs(lane, leaf, index), dr.gather(mi.UInt32, lane, index // per_pair)
+        first, count = (dr.gather(mi.UInt32, x, bundle) for x in (work.bundles.first, work.bundles.count))
+        pairs = pairs.gather(dr.compress(pairs.segment < first + count))
         exists, zeros, _ = work.classify(pairs)
         looked_at = int(dr.count(zeros.possible if self.culling.for_one_light else exists)[0])
         pairs = pairs.gather(dr.compress(zeros.possible))

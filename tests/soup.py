@@ -68,7 +68,7 @@ class Soup:
         tri = triangle.gather(self.records, pairs.beam, active)
         place = pairs.place(mi.Float(0), mi.Float(0), mi.Float(1))
         piece = beam.piece_at(tri, light, *place)
-        return Taken(tri, piece, pairs.code is not None, mi.Float(0), mi.Bool(False), mi.Bool(False))
+        return Taken(tri, piece, pairs.code is not None, None, mi.Bool(False), mi.Bool(False))
 
     def triangle_of(self, pairs):
         return pairs.beam
@@ -115,7 +115,7 @@ def solve(case, eta, tolerance=0.01):
     light = mi.Point3f(np.asarray(case.light, np.float32).T)
     lighting = Lighting(Source(light, dr.opaque(mi.Float, eta)), int(np.sign(eta - 1)), isotropic, None, None)
     segments = points_as_segments(case.V)
-    work = wavefront.Work(Sums.nothing(n), segments, Soup(case.patch), lighting,
+    work = wavefront.Work(Sums.nothing(n), segments, None, Soup(case.patch), lighting,
                           tolerances.accuracy(tolerance), roots)  # fmt: skip
     index = dr.arange(mi.UInt32, n)
     pairs = Pairs(index, index)

@@ -10,6 +10,7 @@ from meshes import BoxTree, Mesh, bumpy_sphere, icosphere
 from scipy.optimize import linear_sum_assignment
 
 from mitsuba_refscatter import camera, tolerances
+from mitsuba_refscatter.kept import Kept
 from mitsuba_refscatter.scene import NONE, SceneError, read
 
 CAMERA = (0.0, 1.1, 5.2)
@@ -37,7 +38,7 @@ def scene(bodies, folder, **properties):
     parts = {"type": "scene", "light": build.point_light((0, 50, 0))}
     for k, body in enumerate(bodies):
         parts[f"body{k}"] = build.mesh_shape(body.mesh, folder / f"{k}.ply", eta=body.eta, **properties)
-    found = read(mi.load_dict(parts, optimize=False), 0.01)
+    found = read(mi.load_dict(parts, optimize=False), 0.01, Kept())
     assert [round(body.eta, 5) for body in found.bodies] == [body.eta for body in bodies]
     return found
 
@@ -221,7 +222,7 @@ def test_bodies_that_the_loader_merges(rgb, tmp_path, scale, normals):
     ):
         material = {"bsdf": {"type": "ref", "id": "glass"}, "interior": {"type": "ref", "id": "amber"}}
         parts[f"body{k}"] = {**shape, **material, "to_world": transform}
-    apart, merged = (read(mi.load_dict({"type": "scene", **parts}, optimize=x), 0.01) for x in (False, True))
+    apart, merged = (read(mi.load_dict({"type": "scene", **parts}, optimize=x), 0.01, Kept()) for x in (False, True))
     assert len(apart.bodies) == 2 and len(merged.bodies) == 1
     o, d = build.rays_at((0, 1.1, 7.2), 2.4, 300, seed=7)
     o = build.rounded(o + [1.2, 0, 0])
@@ -278,7 +279,7 @@ def test_a_missed_crossing_between_nested_bodies_is_no_overlap(rgb, nested):
         side = "exterior" if nested and k else "interior"
         parts[f"bar{k}"] = {"type": "cube", "bsdf": bsdf, side: {"type": "ref", "id": "amber"},
                             "to_world": mi.ScalarTransform4f().scale(scale)}  # fmt: skip
-    found = read(mi.load_dict(parts, optimize=False), 0.01)
+    found = read(mi.load_dict(parts, optimize=False), 0.01, Kept())
     outer, inner = sorted(found.bodies, key=lambda body: body.eta)
     leg = camera.Legs(mi.Point3f(0, 0, 0.1), mi.Vector3f(1, 0, 0), mi.Spectrum(1), mi.UInt32(0), mi.UInt32(inner.inside), 0, 0)  # fmt: skip
     arguments = found, leg, mi.Float(0.02), mi.UInt32(outer.index), mi.Bool(True)

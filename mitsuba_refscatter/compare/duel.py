@@ -17,9 +17,10 @@ class Subject:
 
     @classmethod
     def of(cls, name, load):
+        from ..kept import Kept
         from ..scene import read
 
-        return cls(name, load, sum(body.triangle_count for body in read(load(), 0.01).bodies))
+        return cls(name, load, sum(body.triangle_count for body in read(load(), 0.01, Kept()).bodies))
 
 
 @dataclass

@@ -29,7 +29,7 @@ class Setup:
     variant: str = "llvm_ad_rgb"
     resolution: int = 256
     samples: int = 64
-    repeats: int = 3
+    repeats: int = 5
     internal_bounces: int = 0
     tolerance: float = 0.01
     methods: tuple = OURS

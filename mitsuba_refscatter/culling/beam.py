@@ -14,8 +14,8 @@ import mitsuba as mi
 
 from .. import optics, tolerances
 
-BEAM = 24
-"""Numbers per beam: P and omega at 3 corners (18), bend, twist, u0, v0, h, and the clear length."""
+BEAM = 28
+"""Numbers per beam: P and omega at 3 corners (18), bend, twist, u0, v0, h, and how far it gets (``pairs.Reach``, 5)."""
 
 CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
 MIDDLES = ((0.5, 0.5), (0.0, 0.5), (0.5, 0.0))
@@ -91,6 +91,13 @@ def piece_at(tri, light, u0, v0, h):
     return Piece(list(P), list(omega), bend, twist, u0, v0, h)
 
 
+def nothing(piece, empty):
+    """``piece`` with those that are ``empty`` such that g has no zeros for any line."""
+    piece.omega = [dr.select(empty, mi.Vector3f(0), x) for x in piece.omega]
+    piece.bend, piece.twist = dr.select(empty, 0, piece.bend), dr.select(empty, -1, piece.twist)
+    return piece
+
+
 def excess(piece, light):
     """How many times the size of beams, or the turn of their directions, is what ``tolerances.NEAR`` and ``TURN`` allow."""
     distance = None if light.distant else fold(dr.minimum, [dr.norm(light.L - p) for p in piece.P])
@@ -103,12 +110,12 @@ def excess(piece, light):
     return out
 
 
-def numbers(piece, clear):
-    """The record of a beam."""
+def numbers(piece, reach):
+    """The record of a beam; ``reach``: the last 5 of its numbers."""
     out = []
     for p, w in zip(piece.P, piece.omega):
         out += [p.x, p.y, p.z, w.x, w.y, w.z]
-    return out + [piece.bend, piece.twist, piece.u0, piece.v0, piece.h, clear]
+    return out + [piece.bend, piece.twist, piece.u0, piece.v0, piece.h, *reach]
 
 
 def unpack(numbers):

@@ -107,7 +107,7 @@ def _leaf_bounds(records, count, depth, body):
         x = triangle.gather_numbers(records, dr.minimum(first + j, last), beam.BEAM)
         piece = beam.unpack(x)
         item = _beam_bounds(piece.P, piece.omega, piece.bend, body)
-        item.count = dr.select(first + j <= last, item.count, 0)
+        item.count = dr.select((first + j <= last) & (piece.twist >= 0), item.count, 0)
         bounds = item.fields() if bounds is None else merge(bounds, item.fields())
     return bounds
 
@@ -162,15 +162,21 @@ def build(records, count, body):
 
 
 def node_test(segments):
-    """The conservative test of a camera segment against a node, for ``bvh.traverse``."""
+    """The conservative test of bundles of camera segments (``Bundles.middle``) against a node, for ``bvh.traverse``.
+
+    From its middle to another line of a bundle (P - o) x d changes by at most |P - o| spread_d + spread_o, and so does g.
+    """
     o, d, t_max, inverse_d = segments.o, segments.d, segments.t_max, segments.inverse_d
+    spread_o, spread_d = segments.spread_o, segments.spread_d
+    pad = spread_o + t_max * spread_d
 
     def hit(x):
         c, h, omega, a0, a1, a2, r, low, high = (mi.Vector3f(x[i : i + 3]) for i in range(0, 27, 3))
         k = dr.cross(c - o, d)
         linear = mi.Vector3f(dr.dot(a0, k), dr.dot(a1, k), dr.dot(a2, k)) - dr.cross(omega, d)
         reach = dr.dot(dr.abs(linear), h) + dr.dot(r, dr.abs(k)) + x[27]
-        t0, t1 = (low - o) * inverse_d, (high - o) * inverse_d
+        reach += (dr.norm(c - o) + dr.norm(h)) * spread_d + spread_o
+        t0, t1 = (low - pad - o) * inverse_d, (high + pad - o) * inverse_d
         near = dr.max(dr.minimum(t0, t1))
         far = dr.min(dr.maximum(t0, t1))
         return (dr.abs(dr.dot(omega, k)) <= reach) & (near <= far) & (far >= 0) & (near <= t_max)

@@ -15,7 +15,7 @@ from .. import lanes, tolerances
 from ..geometry import bvh, triangle
 from . import beam as light_beam
 from . import beam_tree
-from .pairs import Taken
+from .pairs import Reach, Taken
 
 
 @dataclass
@@ -32,19 +32,22 @@ class Beams:
     proven_lit: object
     count: int
     tree: bvh.Tree
+    width: float
 
     most_levels = tolerances.MAX_SUBDIVISION
     """Levels to which beams are cut for single segments, besides those when they were made."""
+    bundle = tolerances.BUNDLED
+    """Camera segments that go through the tree together."""
     for_one_light = True
     """Made for one light point: knows the zeros of g before an estimator does, and proofs of visibility."""
 
     def node_test(self, segments, light):
-        """The conservative test of camera segments against a node of the tree, for ``bvh.traverse``."""
+        """The conservative test of bundles of camera segments against a node of the tree, for ``bvh.traverse``."""
         return beam_tree.node_test(segments)
 
     def plausible(self, pairs, segment, light):
-        """Which places of the leaves hold a beam."""
-        return pairs.beam < dr.opaque(mi.UInt32, self.count)
+        """Places of the leaves without a beam hold ``beam.nothing``."""
+        return mi.Bool(True)
 
     def triangle_of(self, pairs, active=True):
         """Indices of the pairs' triangles among the scene's records."""
@@ -55,11 +58,12 @@ class Beams:
         x = triangle.gather_numbers(self.records, pairs.beam, light_beam.BEAM, active)
         tri = triangle.gather(self.triangle_records, self.triangle_of(pairs, active), active)
         piece = light_beam.unpack(x)
+        reach = Reach(piece.u0, piece.v0, piece.h, x[23:26], *x[26:28])
         if pairs.code is not None:
             piece = light_beam.piece_at(tri, light, *pairs.place(piece.u0, piece.v0, piece.h))
         proven_lit = dr.gather(mi.Bool, self.proven_lit, pairs.beam, active)
         # Beams are cut when they are made until they are fine.
-        return Taken(tri, piece, True, x[23], proven_lit, mi.Bool(False))
+        return Taken(tri, piece, True, reach, proven_lit, mi.Bool(False))
 
 
 def _lit(tri, light):
@@ -94,40 +98,56 @@ def _levels(tri, light, size, bend):
     return mi.UInt32(dr.clip(level, 0, tolerances.MAX_SUBDIVISION))
 
 
-def build(body, scene_records, light, bend, seen, clear):
-    """Light beams of ``light`` (``optics.Source``, one, body coordinates) in ``body``; None if none is lit.
+def order_of(body):
+    """Triangles (UInt32, scene's numbering) of a body in the order in which the tree takes them."""
+    return lanes.array(mi.UInt32, bvh.median_order(body.corners.mean(axis=1)) + body.first_record)
+
+
+def build(body, scene_records, order, light, bend, seen, clear):
+    """Light beams of ``light`` (``optics.Source``, one, body coordinates) in ``body``; None if none is lit. ``order``: ``order_of(body)``.
 
     ``seen(triangles) -> (kept, proven)``: which triangles the light may reach, as indices into the argument, and
-    for each of these whether all of it is known to be lit. ``clear(P, omega, bend)``: length to which beams
-    with these corners are known to be free, or None where no beam is ever blocked.
+    for each of these whether all of it is known to be lit. ``clear(tri, piece)``: the numbers of ``pairs.Reach``, or None
+    where no beam is ever blocked.
     """
-    every = dr.opaque(mi.UInt32, body.first_record) + dr.arange(mi.UInt32, body.triangle_count)
-    lit = dr.compress(_lit(triangle.gather(scene_records, every), light))
-    lit = dr.gather(mi.UInt32, every, lit)
+    place = dr.compress(_lit(triangle.gather(scene_records, order), light))
+    lit = lanes.gather(order, place)
     if dr.width(lit) > 0:
         kept, proven = seen(lit)
-        lit = dr.gather(mi.UInt32, lit, kept)
+        place, lit = lanes.gather(place, kept), lanes.gather(lit, kept)
     if dr.width(lit) == 0:
         return None
     size = dr.opaque(mi.Float, body.size)
     level = _levels(triangle.gather(scene_records, lit), light, size, dr.opaque(mi.Float, bend))
 
     parent, code, level = _expand(level)
+    parent, code, level, exists = _in_leaves(place, parent, code, level)
     u0, v0, h = light_beam.sub_triangle(code, level)
     index = dr.gather(mi.UInt32, lit, parent)
     proven = dr.gather(mi.Bool, proven, parent)
-    centre = triangle.gather(scene_records, index).position(u0 + h / 3, v0 + h / 3)
-    order = lanes.array(mi.UInt32, bvh.median_order(centre.numpy().T))
-    index, proven, u0, v0, h = (dr.gather(type(x), x, order) for x in (index, proven, u0, v0, h))
-
     count = dr.width(index)
     records = dr.empty(mi.Float, count * light_beam.BEAM)
     tri = triangle.gather(scene_records, index)
-    piece = light_beam.piece_at(tri, light, u0, v0, h)
-    free = mi.Float(0) if clear is None else clear(piece.P, piece.omega, piece.bend)
-    triangle.scatter_numbers(records, light_beam.numbers(piece, free), dr.arange(mi.UInt32, count))
+    piece = light_beam.nothing(light_beam.piece_at(tri, light, u0, v0, h), ~exists)
+    reach = [mi.Float(0)] * 5 if clear is None else clear(tri, piece)
+    triangle.scatter_numbers(records, light_beam.numbers(piece, reach), dr.arange(mi.UInt32, count))
+    width = float(dr.mean(dr.norm(h * tri.P_u))[0])
     dr.eval(records, index, proven)
-    return Beams(scene_records, records, index, proven, count, beam_tree.build(records, count, body))
+    return Beams(scene_records, records, index, proven, count, beam_tree.build(records, count, body), width)
+
+
+def _in_leaves(place, parent, code, level):
+    """The beams such that each leaf holds those of ``bvh.LEAF`` places of the order at most: the nodes of the tree then bound the
+    same places for every light. Returns ``parent``, ``code``, ``level`` for all places in leaves, and which of these hold a beam."""
+    cell = place.numpy()[parent.numpy()] // bvh.LEAF
+    count = np.bincount(cell)
+    count = count[count > 0]
+    room = -(-count // bvh.LEAF) * bvh.LEAF
+    shift = np.cumsum(room - count) - (room - count)
+    holds = np.zeros(room.sum(), dtype=bool)
+    holds[np.arange(len(cell)) + np.repeat(shift, count)] = True
+    beam = lanes.array(mi.UInt32, np.maximum(np.cumsum(holds) - 1, 0))
+    return *(dr.gather(mi.UInt32, x, beam) for x in (parent, code, level)), lanes.array(mi.Bool, holds)
 
 
 def _expand(level):

@@ -9,11 +9,33 @@ can touch such a triangle.
 import drjit as dr
 import mitsuba as mi
 
+from .. import tolerances
 from ..geometry import bvh
 from ..geometry.surface import Surface
+from . import beam
 
 NODE = 12
 """Numbers per node: centre and radius of a sphere, middle and half width of the normals' box, 2 pad."""
+
+
+UNKNOWN = 1e30
+"""What is added to a length to say nothing about what is behind it."""
+
+
+def estimate(reach, light):
+    """How far beams get, judged by four of their rays, for ``beams.build``: linear between those at the corners, give or take
+    several times what the one in the middle differs from that. ``reach(P, Ng, omega)``: length of rays."""
+
+    def clear(tri, piece):
+        ends = []
+        for u, v in (*beam.CORNERS, (1 / 3, 1 / 3)):
+            P, omega, _ = beam.refracted(tri, piece.u0 + piece.h * u, piece.v0 + piece.h * v, light)
+            ends.append(reach(P, tri.Ng, omega))
+        mean = (ends[0] + ends[1] + ends[2]) / 3
+        slack = tolerances.SAMPLED * dr.abs(ends[3] - mean) + tolerances.SAMPLED_LEAST * mean
+        return [*ends[:3], slack, slack]
+
+    return clear
 
 
 class Clearance:
@@ -22,11 +44,9 @@ class Clearance:
     def __init__(self, records, first_record, corners):
         self.surface = Surface(records, first_record, corners, lambda tri: [tri.Ng], _pack, NODE)
 
-    def clear(self, P, omega, bend):
-        """Length to which beams with corners ``P``, ``omega`` (lists of three Vector3f) are free.
-
-        ``bend``: bound of the deviation of omega from linear in between.
-        """
+    def clear(self, tri, piece):
+        """Length to which beams (``beam.Piece``) are certainly free, as the numbers of ``pairs.Reach``."""
+        P, omega, bend = piece.P, piece.omega, piece.bend
         axis_P, axis = (P[0] + P[1] + P[2]) / 3, dr.normalize(omega[0] + omega[1] + omega[2])
         start = dr.maximum(dr.norm(P[0] - axis_P), dr.maximum(dr.norm(P[1] - axis_P), dr.norm(P[2] - axis_P)))
         spread = (
@@ -45,7 +65,8 @@ class Clearance:
 
         width = dr.width(P[0].x)
         best = bvh.walk(self.surface.tree, width, visit, dr.full(mi.Float, 1e30, width))
-        return dr.select(wide, 0, best)
+        best = dr.select(wide, 0, best)
+        return [best, best, best, mi.Float(0), mi.Float(UNKNOWN)]
 
     def _touch(self, leaf, j, active, P, omega, bend, axis_P, axis, start, spread):
         """Smallest distance at which the beams can leave through the j-th triangle of a leaf, or 1e30."""

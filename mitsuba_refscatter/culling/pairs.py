@@ -6,7 +6,6 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import lanes
-from ..geometry import bvh
 from . import beam
 
 
@@ -61,22 +60,33 @@ class Pairs:
 
 
 @dataclass
+class Reach:
+    """How far light beams get inside their body: lengths ``at_corners`` of their triangles, at the place (u0, v0, h), and linear
+    in between. Free up to ``below`` less than that, blocked from ``above`` more on."""
+
+    u0: object
+    v0: object
+    h: object
+    at_corners: list
+    below: object
+    above: object
+
+    def known(self, u, v, s):
+        """Whether light from (u, v) is free for the length s, and whether it is blocked."""
+        a, b, c = self.at_corners
+        length = a + ((u - self.u0) * (b - a) + (v - self.v0) * (c - a)) / self.h
+        return s < length - self.below, s > length + self.above
+
+
+@dataclass
 class Taken:
     """What culling knows of pairs: triangle; light beam (``beam.Piece``); whether some of these may be parts of triangles
-    only; length to which the beam is proven to be free inside the body; whether all of it is proven to be lit; and whether
+    only; how far it gets inside the body (``Reach``), or None; whether all of it is proven to be lit; and whether
     it is too large for one sample of the light (``coarse``)."""
 
     tri: object
     piece: object
     parts: bool
-    clear: object
+    reach: object
     proven_lit: object
     coarse: object
-
-
-def pairs_at(lane, leaf, index):
-    """The pairs numbered ``index``: item ``index % LEAF`` of the (segment, leaf) pair ``index // LEAF``."""
-    if dr.width(index) == 0:
-        return Pairs(index, index)
-    place = index // bvh.LEAF
-    return Pairs(lanes.gather(lane, place), lanes.gather(leaf, place) * bvh.LEAF + (index & (bvh.LEAF - 1)))

@@ -28,6 +28,7 @@ class Spindle:
     """The tree over the triangles of a body, and its tests. Independent of the light."""
 
     for_one_light = False
+    bundle, width = 1, 0.0
     most_levels = 2 * tolerances.MAX_SUBDIVISION
 
     def __init__(self, body, records):
@@ -68,7 +69,7 @@ class Spindle:
         place = pairs.place(mi.Float(0), mi.Float(0), mi.Float(1))
         piece = light_beam.piece_at(tri, light, *place)
         coarse = light_beam.excess(piece, light) > 1
-        return Taken(tri, piece, pairs.code is not None, mi.Float(0), mi.Bool(False), coarse)
+        return Taken(tri, piece, pairs.code is not None, None, mi.Bool(False), coarse)
 
 
 def _pack(bounds):

@@ -38,6 +38,8 @@ needs_fine = True
 class _Point:
     """The quantities of the integrand at one (u, v), and g with its derivative."""
 
+    u: object
+    v: object
     P: object
     n: object
     omega_L: object
@@ -61,7 +63,7 @@ def _evaluate(tri, lighting, segment, u, v, a, b):
     across = dr.cross(P - segment.o, segment.d)
     g = dr.dot(omega, across)
     slope = dr.dot(d_omega, across) + dr.dot(omega, dr.cross(d_P, segment.d))
-    return _Point(P, n, omega_L, omega, c_L, c_V, d_L, slope, g)
+    return _Point(u, v, P, n, omega_L, omega, c_L, c_V, d_L, slope, g)
 
 
 @dataclass
@@ -100,11 +102,11 @@ def accumulate(sums, pairs, segments, culling, lighting, accuracy):
     arguments = (sums, segments, culling, lighting, accuracy)
 
     def proof(lighting, point, tri, s, taken, active):
-        free = lighting.proven(s, taken)
-        return free, ~free
+        free, blocked = lighting.known(point.u, point.v, s, taken)
+        return free, ~(free | blocked)
 
     def rays(lighting, point, tri, s, taken, active):
-        return lighting.visible(point.P, tri.Ng, point.omega, s, taken, active), False
+        return lighting.visible(point.P, tri.Ng, point.omega, point.u, point.v, s, taken, active), False
 
     if lighting.shadowless or not culling.for_one_light or pairs.tau0 is not None:
         return pairs.gather(dr.compress(_accumulate(pairs, *arguments, rays)[1]))

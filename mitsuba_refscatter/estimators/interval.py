@@ -184,7 +184,7 @@ def _sample(sums, pairs, a, b, exists, segments, culling, lighting, accuracy):
         active = exists & solution.converged & same_side
         found += dr.select(active, 1, 0)
         active &= point_form.refracts(path, taken.tri)
-        active = lighting.visible(path.P, taken.tri.Ng, path.omega_V, path.s, taken, active)
+        active = lighting.visible(path.P, taken.tri.Ng, path.omega_V, u, v, path.s, taken, active)
         value = point_form.in_scattered(path, taken.tri, segment.d, lighting, sigma_t)
         value *= dr.exp(-sigma_t * t) * span.dt(x) * step
         active &= dr.all(dr.isfinite(value))

@@ -57,15 +57,23 @@ class Lighting:
         """Extinction of light along omega, of ``sigma_t``, that along the camera ray d."""
         return sigma_t if self.directed is None else sigma_t * self.directed(omega, d)
 
-    def proven(self, s, taken):
-        """Where culling has proven that nothing is in the way from the light to P and on to P + s omega."""
-        return (s < taken.clear if self.inside is not None else True) & taken.proven_lit
+    def known(self, u, v, s, taken):
+        """Where culling knows that nothing is in the way from the light to the point at (u, v) and on for the length s; and
+        where it knows that something is."""
+        free, blocked = self._inside(u, v, s, taken)
+        return free & taken.proven_lit, blocked
 
-    def visible(self, P, Ng, omega, s, taken, active):
-        """``active`` where nothing is in the way from the light to ``P`` and on to P + s omega."""
+    def _inside(self, u, v, s, taken):
+        if self.inside is None:
+            return mi.Bool(True), mi.Bool(False)
+        return (mi.Bool(False), mi.Bool(False)) if taken.reach is None else taken.reach.known(u, v, s)
+
+    def visible(self, P, Ng, omega, u, v, s, taken, active):
+        """``active`` where nothing is in the way from the light to ``P``, at (u, v), and on to P + s omega."""
         if self.inside is not None:
-            free = s < taken.clear
-            active = active & (free | self.inside(P, Ng, omega, s, active & ~free))
+            free, blocked = self._inside(u, v, s, taken)
+            active = active & ~blocked
+            active &= free | self.inside(P, Ng, omega, s, active & ~free)
         if self.lit is not None:
             active = active & (taken.proven_lit | self.lit(P, Ng, self.light.L, active & ~taken.proven_lit))
         return active

@@ -108,9 +108,10 @@ def accumulate(sums, pairs, segments, culling, lighting, accuracy):
     """Adds what the light beams of ``pairs`` bring to their sample points; nothing is left over."""
     segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
     taken = culling.take(pairs, lighting.light)
-    tri = taken.tri
+    tri, piece = taken.tri, taken.piece
     solution, path, active = roots(taken, segment, lighting)
-    active = lighting.visible(path.P, tri.Ng, path.omega_V, path.s, taken, active)
+    u, v = (x0 + piece.h * x for x0, x in zip((piece.u0, piece.v0), solution.x))
+    active = lighting.visible(path.P, tri.Ng, path.omega_V, u, v, path.s, taken, active)
     value = point_form.in_scattered(path, tri, segment.d, lighting, segments.sigma_t_of(pairs.segment))
     finite = dr.all(dr.isfinite(value))
     failed = (solution.status == int(newton.Status.OUT_OF_ITERATIONS)) | (active & ~finite)

@@ -75,6 +75,11 @@ def morton_order(points):
     return np.argsort(code)
 
 
+def finite_inverse(d):
+    """1 / d of directions with zeros kept finite, for box tests."""
+    return mi.Vector3f(*(dr.rcp(dr.select(dr.abs(x) < 1e-20, dr.mulsign(1e-20, x), x)) for x in d))
+
+
 def box(points):
     """Smallest and largest coordinates of a list of points."""
     low = high = points[0]

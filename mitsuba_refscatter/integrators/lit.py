@@ -9,7 +9,7 @@ import numpy as np
 from .. import lanes, tolerances, visibility, wavefront
 from ..air import Air, Arrival
 from ..culling import beams as light_beams
-from ..culling.clearance import Clearance
+from ..culling.clearance import Clearance, estimate
 from ..culling.spindle import Spindle
 from ..estimators import curve, interval, point, straight
 from ..estimators.lighting import Lighting, Sums
@@ -25,8 +25,10 @@ class Prepared:
     """What one render needs to know of a scene, read once: records, accuracy, estimator, culling; and, where lights must be
     drawn, the numbers that ``seed()`` gives. ``straight``: whether light is never refracted."""
 
-    def __init__(self, scene, opt, seed, straight=False):
-        self.scene = read(scene, opt.tolerance, straight)
+    def __init__(self, scene, opt, seed, kept, straight=False):
+        self.kept = kept
+        kept.next_round()
+        self.scene = read(scene, opt.tolerance, kept, straight)
         self.accuracy = tolerances.accuracy(opt.tolerance)
         if opt.samples:
             self.accuracy = replace(
@@ -89,15 +91,18 @@ class Prepared:
         return self.lighting(body, region, light_point, shadows, wavelengths), culling
 
     def _culling(self, body, source, shadows):
-        records = self.scene.records
+        records, place = self.scene.records, (body.first_record, *self.scene.key)
         if self.culling == "spindle":
-            return self.once(lambda: Spindle(body, records), "spindle", body.first_record)
+            return self.kept.once(lambda: Spindle(body, records), "spindle", *place)
         clear = None
-        if shadows.may_prove_inside:
+        if shadows.may_prove_inside and self.accuracy.samples_reach:
+            clear = estimate(lambda P, Ng, omega: shadows.reach(P, Ng, omega, None), source)
+        elif shadows.may_prove_inside:
             corners = body.corners - body.centre
             first = body.first_record
-            clear = self.once(lambda: Clearance(records, first, corners), "clearance", first).clear
-        return light_beams.build(body, records, source, self.accuracy.bend, shadows.seen, clear)
+            clear = self.kept.once(lambda: Clearance(records, first, corners), "clearance", *place).clear
+        order = self.kept.once(lambda: light_beams.order_of(body), "order", *place)
+        return light_beams.build(body, records, order, source, self.accuracy.bend, shadows.seen, clear)
 
 
 @dataclass

@@ -62,7 +62,7 @@ class PhotonIntegrator(RefscatterIntegrator):
 
     def prepare(self, scene, seed):
         common = {name: getattr(self.options, name) for name in vars(options.Common())}
-        return Prepared(scene, options.Options(**common), seed)
+        return Prepared(scene, options.Options(**common), seed, self.kept)
 
     def scatter(self, prepared, paths, ray, n, batch, sampler, detail, progress):
         single = scatter(prepared, paths, ray, n, batch, 0, detail, None, refracted=False)

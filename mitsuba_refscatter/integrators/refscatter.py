@@ -4,6 +4,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import camera, film, lanes, options, platform, wavefront
+from ..kept import Kept
 from ..scene import REFUSED, SceneError, refuse_gradients
 from ..sequence import Batch, Sequence
 from .lit import Prepared, scatter
@@ -84,7 +85,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         self.options = options.read(props, self.known)
         self.nested = _nested(props, self.hide_emitters)
         self.progress = self.watch = None  # for ``film.render``
-        self.counts = wavefront.Counts()
+        self.counts, self.kept = wavefront.Counts(), Kept()
 
     def aov_names(self):
         return [channel for name in options.aov_list(self.options) for channel in options.AOVS[name]]
@@ -120,7 +121,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
 
     def prepare(self, scene, seed):
         """``Prepared`` for a scene; ``seed()`` gives the seed of its random numbers."""
-        return Prepared(scene, self.options, seed)
+        return Prepared(scene, self.options, seed, self.kept)
 
     def scatter(self, prepared, paths, ray, n, batch, sampler, detail, progress):
         """``Sums`` of single scattering along the camera paths, per camera sample."""

@@ -24,7 +24,7 @@ class StraightIntegrator(RefscatterIntegrator):
     known = options.Common
 
     def prepare(self, scene, seed):
-        return Prepared(scene, options.Options(**vars(self.options)), seed, straight=True)
+        return Prepared(scene, options.Options(**vars(self.options)), seed, self.kept, straight=True)
 
     def scatter(self, prepared, paths, ray, n, batch, sampler, detail, progress):
         return scatter(prepared, paths, ray, n, batch, 0, detail, progress, refracted=False)

@@ -30,7 +30,8 @@ class Scene:
     ``inside``, ``outside``: tables for lookups in kernels, as ``index2`` and ``owner`` by region: square of the index of refraction
     relative to the outermost, and the closed body whose inside it is, or NONE; ``thin``, ``straight``: the same where some boundary is, else
     None (``straight``: what crossing it counts for, 1 or ``ONCE``; 0 if light can't); ``passed``: the bodies that light goes straight through;
-    ``others``: the shapes that are no bodies; ``mirrors``: largest coordinates of those that are mirrors, or None.
+    ``others``: the shapes that are no bodies; ``mirrors``: largest coordinates of those that are mirrors, or None; ``key``: what ``records``
+    were made from.
     """
 
     mi_scene: object
@@ -52,6 +53,7 @@ class Scene:
     passed: list
     others: list
     mirrors: object
+    key: tuple
 
     def find(self, shape):
         """Index of the body of each shape pointer, or NONE; a null pointer is no body."""
@@ -91,9 +93,9 @@ class Scene:
         return self.mirror_extent(shape) > 0
 
 
-def read(scene, tolerance, straight=False):
+def read(scene, tolerance, kept, straight=False):
     """Reads a ``mi.Scene``; ``tolerance``: relative error of the image that replacing curved shapes by meshes may cause;
-    ``straight``: whether light goes straight through all boundaries, as if they were ``null`` (camera rays are refracted all
+    ``kept``: ``kept.Kept``; ``straight``: whether light goes straight through all boundaries, as if they were ``null`` (camera rays are refracted all
     the same). Raises ``SceneError`` for what cannot be rendered."""
     scene = shapes.expand(scene, lambda shape: body_reader.kind_of(shape) is not None, tolerance)
     bodies, others, kinds = [], [], [body_reader.kind_of(shape) for shape in scene.shapes()]
@@ -101,7 +103,7 @@ def read(scene, tolerance, straight=False):
         if kind is None:
             others.append(shape)
         else:
-            bodies.append(body_reader.read(shape, kind, len(bodies), sum(body.triangle_count for body in bodies)))
+            bodies.append(body_reader.read(shape, kind, len(bodies), sum(body.triangle_count for body in bodies), kept))
     regions = Regions(bodies, scene.sensors()).found
     if not any(region.medium is not None for region in regions):
         raise SceneError("the scene has no body with a medium, so there is no scattering to compute: give a mesh a "
@@ -109,9 +111,11 @@ def read(scene, tolerance, straight=False):
     lights = light_reader.read(scene, bodies, any(region.scatters for region in regions))
     passed = [body for body in bodies if straight or not body.refracts]
     packed = bodies + _boundaries(bodies, passed, regions, lights)
+    key = tuple(body.key for body in packed)
     return Scene(
         mi_scene=scene, bodies=bodies, regions=regions, lights=lights,
-        records=lanes.array(mi.Float, np.concatenate([body.packed() for body in packed] or [np.zeros(24)])),
+        records=kept.once(lambda: lanes.array(mi.Float, np.concatenate([body.packed() for body in packed] or [np.zeros(24)])),
+                          "records", *key),
         body_of_shape=_per_shape(scene, mi.UInt32, NONE, {_shape_id(body.shape): body.index for body in bodies}),
         **{key: lanes.array(kind, [getattr(body, key) for body in bodies] or [0])
            for key, kind in (("eta", mi.Float), ("first_record", mi.UInt32), ("extent", mi.Float),
@@ -123,6 +127,7 @@ def read(scene, tolerance, straight=False):
         straight=lanes.array(mi.UInt32, [(body in passed) * (ONCE if body.refracts else 1) for body in bodies]) if passed else None,
         passed=passed,
         others=others,
+        key=key,
         mirrors=_per_shape(scene, mi.Float, 0, {_shape_id(shape): _extent(shape) for shape in others if _is_mirror(shape)})
         if any(map(_is_mirror, others)) else None,
     )  # fmt: skip

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..geometry import mesh as mesh_facts
 from ..geometry import triangle
+from ..kept import fingerprint
 from ..lanes import NONE  # no body; the region that has no medium and is no body's inside
 from .errors import SceneError, name_shape
 from .support import BOUNDARIES, PERTURBED, refusal
@@ -27,7 +28,7 @@ class Body:
     (F, 3); ``corner_normals`` (F, 3, 3); ``twin``: of each directed edge (``mesh.twins``); ``closed``: whether the mesh is;
     ``first_record``: of its triangles in ``Scene.records``; ``centre``: 3 floats; ``box``: of the mesh, world;
     ``box_low``, ``box_high``: of what its light can reach, body coordinates; ``size``: diagonal of that, or where it has no
-    end the length that matters; ``extent``: largest coordinate, world; ``inside``, ``outside``: indices of regions, or NONE.
+    end the length that matters; ``extent``: largest coordinate, world; ``key``: what it was made from (``kept.Kept``); ``inside``, ``outside``: indices of regions, or NONE.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Body:
     box_high: list
     size: float
     tints: dict
+    key: tuple
     inside: int = NONE
     outside: int = NONE
 
@@ -90,7 +92,7 @@ class Body:
         return replace(
             self, eta=1 / self.eta, corners=self.corners[:, turned], normals=-self.normals, closed=False, convex=False,
             corner_normals=-self.corner_normals[:, turned], twin=np.where(twin < 0, -1, new_of_old[twin]),
-            first_record=first_record, inside=self.outside, outside=self.inside,
+            first_record=first_record, inside=self.outside, outside=self.inside, key=("flipped", *self.key),
         )  # fmt: skip
 
 
@@ -115,11 +117,20 @@ def kind_of(shape):
     return None
 
 
-def read(shape, kind, index, first_record):
-    """``Body`` of a mesh."""
+def read(shape, kind, index, first_record, kept):
+    """``Body`` of a mesh. ``kept``: ``kept.Kept`` for what follows from the mesh alone."""
     name = name_shape(shape)
     if not shape.is_mesh():
         raise refusal("shape", name, shape=shape.class_name().lower())
+    eta, tints = _properties(shape.bsdf(), kind, name)
+    key = ("body", kind, eta, shape.has_vertex_normals(), shape.has_face_normals(), shape.has_flipped_normals(),
+           *fingerprint(shape.faces_buffer(), shape.vertex_positions_buffer(), shape.vertex_normals_buffer()))  # fmt: skip
+    body = kept.once(lambda: _read(shape, kind, eta, name, key), *key)
+    return replace(body, name=name, shape=shape, index=index, first_record=first_record, tints=tints)
+
+
+def _read(shape, kind, eta, name, key):
+    """``Body`` of a mesh, the first of its scene and without tints."""
     vertices, faces, normals = _read_mesh(shape, name)
     corners = vertices[faces]
     topology, twin = faces, mesh_facts.twins(faces)
@@ -134,7 +145,6 @@ def read(shape, kind, index, first_record):
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         agreement = np.bincount(part, np.einsum("fki,fi,f->f", normals[faces], winding, area))
     Ng = _outward(corners, winding, part, name) if closed else _front(shape, winding, agreement)
-    eta, tints = _properties(shape.bsdf(), kind, name)
     corner_normals = np.repeat(Ng[:, None, :], 3, axis=1)
     if normals is not None and eta != 1 and kind == "refracts":  # else shading normals play no part
         turned = np.sign(agreement)[part] * np.sign(np.einsum("fi,fi->f", Ng, winding))
@@ -142,10 +152,10 @@ def read(shape, kind, index, first_record):
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     centre = np.float64(np.float32(0.5 * (low + high)))
     return Body(
-        name=name, shape=shape, index=index, kind=kind, eta=eta, corners=corners, normals=Ng, corner_normals=corner_normals,
+        name=name, shape=None, index=0, kind=kind, eta=eta, corners=corners, normals=Ng, corner_normals=corner_normals,
         twin=twin, closed=closed, convex=closed and mesh_facts.is_convex(corners, Ng, topology, twin),
-        centre=centre.tolist(), box=(low, high), first_record=first_record, extent=float(np.abs(corners).max()),
-        box_low=(low - centre).tolist(), box_high=(high - centre).tolist(), size=float(np.linalg.norm(high - low)), tints=tints,
+        centre=centre.tolist(), box=(low, high), first_record=0, extent=float(np.abs(corners).max()),
+        box_low=(low - centre).tolist(), box_high=(high - centre).tolist(), size=float(np.linalg.norm(high - low)), tints={}, key=key,
     )  # fmt: skip
 
 

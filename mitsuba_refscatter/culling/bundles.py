@@ -1,0 +1,84 @@
+"""Bundles of neighbouring camera segments, which go through a tree together."""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import lanes, tolerances
+from ..geometry import bvh
+from .pairs import Pairs
+
+
+@dataclass
+class Bundles:
+    """Lanes of bundles: ``count`` segments from number ``first`` on, at most ``most``; the middle one's origin ``o`` and
+    direction ``d`` (not of unit length), the longest length ``t_max``, and how far origins and directions are from the middle's."""
+
+    first: object
+    count: object
+    o: object
+    d: object
+    t_max: object
+    spread_o: object
+    spread_d: object
+    most: int
+
+    @property
+    def inverse_d(self):
+        return bvh.finite_inverse(self.d)
+
+    def __len__(self):
+        return dr.width(self.first)
+
+    def _fields(self):
+        return {key: value for key, value in vars(self).items() if key != "most"}
+
+    def gather(self, index):
+        return Bundles(**{key: lanes.gather(x, index) for key, x in self._fields().items()}, most=self.most)
+
+    def joined(self, other):
+        pairs = zip(self._fields().items(), other._fields().values())
+        return Bundles(**{key: lanes.concat([a, b]) for (key, a), b in pairs}, most=self.most)
+
+    def pairs(self, lane, leaf, index):
+        """The (segment, item) pairs numbered ``index`` of (bundle, leaf) pairs, which have ``most * bvh.LEAF`` each."""
+        if dr.width(index) == 0:
+            return Pairs(index, index)
+        most = dr.opaque(mi.UInt32, self.most)
+        item = index // most
+        place = item // bvh.LEAF
+        first = lanes.gather(self.first, lanes.gather(lane, place))
+        return Pairs(first + (index - item * most), lanes.gather(leaf, place) * bvh.LEAF + (item & (bvh.LEAF - 1)))
+
+
+def bundles_of(segments, most, width):
+    """``Bundles`` of ``most`` consecutive segments; of single ones where these are further apart than ``width``."""
+    n = len(segments)
+    first = dr.arange(mi.UInt32, -(-n // most)) * dr.opaque(mi.UInt32, most)
+    out = _bundle(segments, first, most)
+    if most == 1:
+        return out
+    wide = out.spread_o + out.t_max * out.spread_d > dr.opaque(mi.Float, tolerances.BUNDLE * width)
+    dr.eval(wide, *out._fields().values())
+    together, apart = dr.compress(~wide), dr.compress(wide)
+    if dr.width(apart) == 0:
+        return out
+    apart = lanes.gather(first, apart)
+    i = dr.arange(mi.UInt32, dr.width(apart) * most)
+    apart = lanes.gather(apart, i // most) + i % most
+    single = _bundle(segments, lanes.gather(apart, dr.compress(apart < dr.opaque(mi.UInt32, n))), 1)
+    return single if dr.width(together) == 0 else out.gather(together).joined(single)
+
+
+def _bundle(segments, first, most):
+    count = dr.minimum(dr.opaque(mi.UInt32, len(segments)) - first, most)
+    every = [segments.gather(dr.minimum(first + j, first + count - 1)) for j in range(most)]
+    o, d = (sum(x[1:], x[0]) / most for x in ([s.o for s in every], [s.d for s in every]))
+    t_max, spread_o, spread_d = mi.Float(0), mi.Float(0), mi.Float(0)
+    for s in every:
+        t_max = dr.maximum(t_max, s.t_max)
+        spread_o, spread_d = dr.maximum(spread_o, dr.norm(s.o - o)), dr.maximum(spread_d, dr.norm(s.d - d))
+    out = Bundles(first, count, mi.Point3f(o), mi.Vector3f(d), t_max, spread_o, spread_d, most)
+    dr.eval(*out._fields().values())
+    return out
