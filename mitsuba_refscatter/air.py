@@ -109,7 +109,7 @@ class Arrival:
         # Off the boundary on the light's side: the way is longer by nothing that matters.
         body = self.body
         start = mi.Point3f(P) + dr.opaque(mi.Point3f, body.centre)
-        start += omega_L * dr.opaque(mi.Float, tolerances.ARRIVAL_OFFSET * body.extent)
+        start += omega_L * dr.opaque(mi.Float, tolerances.ARRIVAL_OFFSET * body.extent + 2 * body.apart)
         distance = tolerances.ENDLESS if self.source.distant else d_L * (1 - tolerances.SHADOW_END)
         left, _ = self.air.follow(start, omega_L, distance, dr.opaque(mi.UInt32, body.outside))
         return left if self.inner is None else left * self.inner(P, omega_L, d_L)

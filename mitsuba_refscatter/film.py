@@ -81,9 +81,10 @@ def _divisor(spp, most):
 
 def _rays(sensor, sampler, film, size, border, batch, sequence):
     """One wavefront of camera rays."""
-    n = int(size[0]) * int(size[1]) * batch.per_pixel
+    width, n = dr.opaque(mi.UInt32, int(size[0])), int(size[0]) * int(size[1]) * batch.per_pixel
+    pixel, _ = batch.split(n)
     corner = mi.Point2f(film.crop_offset()) - float(border)
-    whole = mi.Point2f(*_in_blocks(batch.split(n)[0], int(size[0]), int(size[1]))) + corner
+    whole = mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width)) + corner
     position = whole + (sampler.next_2d() if sequence is None else sequence.own(PLACE, batch, n))
     scaled = (position - mi.Point2f(film.crop_offset())) / mi.Point2f(film.crop_size())
     aperture = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
@@ -95,17 +96,6 @@ def _rays(sensor, sampler, film, size, border, batch, sequence):
     dr.eval(ray, weight, position)
     # With a box filter the offset inside the pixel must not matter, not even by rounding.
     return ray, weight, whole if film.rfilter().is_box_filter() else position
-
-
-def _in_blocks(number, width, height):
-    """Column and row of pixels that are numbered in blocks of 2 x 2, so that neighbours in number are so in the image: their camera
-    segments go through trees together."""
-    width, height = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
-    pair, place = number // (2 * width), number % (2 * width)
-    last_column, last_row = place >= 4 * (width // 2), 2 * pair + 1 == height
-    x = dr.select(last_column, width - 1, 2 * (place // 4) + (place & 1))
-    y = dr.select(last_column, place - 4 * (width // 2), (place >> 1) & 1)
-    return dr.select(last_row, place, x), 2 * pair + dr.select(last_row, 0, y)
 
 
 def _put(block, film, position, value, valid, extra, wavelengths):

@@ -1,4 +1,4 @@
-"""The commands that measure one thing: scaling, convergence, equal-error."""
+"""The commands that measure one thing: scaling, convergence, equal-error, tradeoff."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from .compare import convergence as convergence_runs
 from .compare import equal_error as equal_error_runs
 from .compare import results
 from .compare import scaling as scaling_runs
-from .console import err, known, measurable, out, plainly, require, table
+from .compare import tradeoff as tradeoff_runs
+from .console import defines, err, known, load, measurable, out, plainly, require, table
 
 app = typer.Typer()
 
@@ -138,4 +139,45 @@ def equal_error(
     out.print(shown)
     picture = directory / "equal_error.png"
     output.write_file(picture, lambda unfinished: equal_error_runs.plot(rows, unfinished))
+    out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)
+
+
+@app.command()
+@plainly
+def tradeoff(
+    scene: list[Path] = typer.Argument(..., metavar="SCENE...", help="Scene files in Mitsuba's XML."),
+    directory: Path = typer.Option(..., "-o", "--output", help="Directory for tradeoff.png and results.json."),
+    bounces: int = typer.Option(4, "--internal-bounces", min=0, help="Internal reflections."),
+    samples: int = typer.Option(1, "--samples", min=1, help="Samples per pixel."),
+    variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant (rgb)."),
+    define: list[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),
+):
+    """Measure error and time over the tolerance, and with each choice that it makes switched.
+
+    Example: refscatter tradeoff scenes/sphere/scene.xml -D res=128 -o out
+    """
+    variant = measurable(variant, directory)
+    require("matplotlib", "flip_evaluator")
+    import mitsuba as mi
+
+    mi.set_variant(variant)
+    import mitsuba_refscatter  # noqa: F401 - registers the plugins
+
+    shown = table("scene", "tolerance or choice", "L1 error", "bias", "p99", "FLIP", "wall s", "CPU s", "first s")
+
+    def add(row):
+        shown.add_row(
+            row["scene"], row["method"], *(f"{row[key]:{form}}" for key, form in (
+                ("mean_relative_error", ".1e"), ("bias", "+.1e"), ("p99_relative_error", ".1e"), ("flip", ".4f"),
+                ("wall_seconds", ".2f"), ("cpu_seconds", ".2f"), ("first_seconds", ".1f"))),
+        )  # fmt: skip
+
+    rows, setup = [], tradeoff_runs.Setup(variant, bounces, samples)
+    for path in scene:
+        name = path.resolve().parent.name if path.stem == "scene" else path.stem
+        rows += tradeoff_runs.run(name, load(path, defines(define)), setup, add)
+        err.print(f"{name} done", markup=False)
+    out.print(shown)
+    picture = directory / "tradeoff.png"
+    output.write_file(picture, lambda unfinished: tradeoff_runs.plot(rows, unfinished))
     out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)

@@ -139,6 +139,16 @@ FOLD_STEPS = 4
 PIECES = 1 << 21
 """Most parts of beams that are looked at in one kernel."""
 
+TURN_ERROR = 0.3, 3.0
+"""The least and the largest error of an image by a coarse mesh, per square of the turn of its normals along edges, that are
+reckoned with."""
+
+COARSE_TRIES = 3
+"""Most meshes whose error is measured to find a suitable one."""
+
+COARSE_SEGMENTS = 512
+"""Most camera segments on which it is measured."""
+
 SAMPLED = 3.0
 """How many times the deviation in a beam's middle its length is uncertain elsewhere."""
 
@@ -191,7 +201,8 @@ class Accuracy:
     panel_points: int
     lobes: float
     adapts: bool = True
-    samples_reach: bool = False
+    samples_visibility: bool = False
+    coarse: float = 0.0
 
 
 def accuracy(tolerance):
@@ -209,7 +220,8 @@ def accuracy(tolerance):
             panels=6,
             panel_points=2,
             lobes=1e-2,
-            samples_reach=True,
+            coarse=0.7 * tolerance,
+            samples_visibility=True,
         )
     if tolerance >= 0.01:
         return Accuracy(
@@ -224,7 +236,8 @@ def accuracy(tolerance):
             panels=12,
             panel_points=2,
             lobes=1e-3,
-            samples_reach=True,
+            coarse=0.7 * tolerance,
+            samples_visibility=True,
         )
     if tolerance >= 0.001:
         return Accuracy(
@@ -239,6 +252,7 @@ def accuracy(tolerance):
             panels=24,
             panel_points=2,
             lobes=1e-4,
+            coarse=0.7 * tolerance,
         )
     return Accuracy(
         bend=0.02,

@@ -11,21 +11,25 @@ import numpy as np
 from . import lanes, tolerances
 from .geometry import silhouette, triangle
 
+SAMPLES = ((0.1, 0.1), (0.8, 0.1), (0.1, 0.8), (1 / 3, 1 / 3))
+"""(u, v) of points of a triangle that are asked whether they are lit."""
+
 
 class Shadows:
-    """The shadow tests of one light in one body.
+    """The shadow tests of one light in one body, whose triangles are among ``records``.
 
     ``lit(P, Ng, L, active)``: nothing between the light and P (body coordinates); ``inside(P, Ng, direction,
     length, active)``: nothing between P and the point at ``length``. A test is None where nothing can be in
     the way: a convex body does not shadow itself. ``light``: ``optics.Source``, one, for ``seen`` alone; ``emitter``: a
     shape that the light's points lie on, where it is convex: it is not in the way of what it sends; ``straight``: whether
-    light on its way to the body is followed by ``Air`` instead.
+    light on its way to the body is followed by ``Air`` instead; ``sampled``: whether what is lit may be judged by samples.
     """
 
-    def __init__(self, scene, body, light, emitter, straight):
-        self.scene, self.body, self.light = scene, body, light
+    def __init__(self, scene, body, records, light, emitter, straight, sampled):
+        self.scene, self.body, self.records, self.light = scene, body, records, light
+        self.sampled = sampled
         self.centre = dr.opaque(mi.Point3f, body.centre)
-        self.offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * body.extent)
+        self.offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * body.extent + body.apart)
         other_bodies = [other.shape for other in scene.bodies if other.shape is not body.shape]
         self.others = [shape for shape in scene.others if shape is not emitter]
         guests = any(meets(body, shape) for shape in scene.others + other_bodies)
@@ -64,6 +68,8 @@ class Shadows:
         proven to be lit everywhere. The others that are proven to be dark everywhere are left out."""
         if self.lit is None:
             return dr.arange(mi.UInt32, dr.width(triangles)), dr.full(mi.Bool, True, dr.width(triangles))
+        if self.sampled:
+            return self._seen_at_samples(triangles)
         corners = self.body.corners[triangles.numpy().astype(np.int64) - self.body.first_record]
         light, distant = self._light_in_world(), self.light.distant
         edges = [
@@ -73,11 +79,30 @@ class Shadows:
         uniform = self._uniform(corners, np.concatenate(edges), triangles, light)
         for shape in self.others:
             uniform &= _beside(corners, shape.bbox(), light, distant)
-        tri = triangle.gather(self.scene.records, triangles)
+        tri = triangle.gather(self.records, triangles)
         visible = self.lit(tri.position(1 / 3, 1 / 3), tri.Ng, self.light.L, True)
         uniform = lanes.array(mi.Bool, uniform)
         kept = dr.compress(visible | ~uniform)
         return kept, dr.gather(mi.Bool, uniform, kept)
+
+    def _seen_at_samples(self, triangles):
+        """``seen``, judged by some points of each triangle where it is the body alone that may be in the way."""
+        n, several = dr.width(triangles), len(SAMPLES)
+        i = dr.arange(mi.UInt32, several * n)
+        tri = triangle.gather(self.records, dr.gather(mi.UInt32, triangles, i // several))
+        u, v = (dr.gather(mi.Float, lanes.array(mi.Float, x), i % several) for x in zip(*SAMPLES))
+        count = dr.block_sum(
+            dr.select(self._lit(tri.position(u, v), tri.Ng, self.light.L, True), mi.UInt32(1), 0), several
+        )
+        all_of_it, some = count == several, count > 0
+        others = self.others + [b.shape for b in self.scene.bodies if b.shape is not self.body.shape]
+        if others:
+            corners = self.body.corners[triangles.numpy().astype(np.int64) - self.body.first_record]
+            alone = [_beside(corners, shape.bbox(), self._light_in_world(), self.light.distant) for shape in others]
+            alone = lanes.array(mi.Bool, np.all(alone, axis=0))
+            some, all_of_it = some | ~alone, all_of_it & alone
+        kept = dr.compress(some)
+        return kept, lanes.gather(all_of_it, kept)
 
     def _light_in_world(self):
         L = self.light.L.numpy().ravel().astype(np.float64)
@@ -89,7 +114,7 @@ class Shadows:
         uniform = silhouette.uniform(corners, edges, light, distant)
         rest = np.flatnonzero(~uniform)
         if len(rest) > 0 and len(edges) > 0:
-            tri = triangle.gather(self.scene.records, dr.gather(mi.UInt32, triangles, lanes.array(mi.UInt32, rest)))
+            tri = triangle.gather(self.records, dr.gather(mi.UInt32, triangles, lanes.array(mi.UInt32, rest)))
             relative = [p if distant else p - self.light.L for p in tri.corners()]
             skin = tolerances.SHADOW_OFFSET * self.body.extent
             edges = edges - (np.array(self.body.centre) if distant else light)

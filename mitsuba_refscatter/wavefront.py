@@ -186,15 +186,30 @@ class Work:
     def filter(self, lane, leaf, found):
         """Of the first ``found`` (bundle, leaf) pairs: the (segment, beam) pairs that can be solved whole, and those
         whose beams must be cut."""
-        place, most = dr.arange(mi.UInt32, found * bvh.LEAF), dr.opaque(mi.UInt32, self.bundles.most)
-        pairs = self.bundles.pairs(lane, leaf, place * most)
-        count, taken, masks = lanes.gather(self.bundles.count, lanes.gather(lane, place // bvh.LEAF)), None, []
-        for j in range(self.bundles.most):
+        place, bundles = dr.arange(mi.UInt32, found * bvh.LEAF), self.bundles
+        bundle = lanes.gather(lane, place // bvh.LEAF)
+        if bundles.most > 1:  # first those of which no segment may meet the beam are left out
+            item = lanes.gather(leaf, place // bvh.LEAF) * bvh.LEAF + (place & (bvh.LEAF - 1))
+            (place,) = lanes.chosen((self.culling.near(item, bundles.gather(bundle)),))
+            if dr.width(place) == 0:
+                return [bundles.pairs(lane, leaf, place)] * 2
+            bundle = lanes.gather(lane, place // bvh.LEAF)
+        pairs = bundles.pairs(lane, leaf, place * dr.opaque(mi.UInt32, bundles.most))
+        count, taken, masks = lanes.gather(bundles.count, bundle), None, []
+        for j in range(bundles.most):
             active, zeros, bent, taken = self._look(pairs, taken, j < count)
             self.sums.look_at(pairs, zeros.possible if self.culling.for_one_light else active)
             masks.append((zeros.bracketed & ~bent, zeros.possible & bent))
             pairs = Pairs(pairs.segment + 1, pairs.beam)
-        return [self.bundles.pairs(lane, leaf, index) for index in lanes.chosen(*zip(*masks))]
+        return [bundles.pairs(lane, leaf, self._number(place, index)) for index in lanes.chosen(*zip(*masks))]
+
+    def _number(self, place, index):
+        """Numbers of pairs (``Bundles.pairs``) from those in a list of places, each with all segments of a bundle."""
+        if dr.width(index) == 0:
+            return index
+        most = dr.opaque(mi.UInt32, self.bundles.most)
+        at = index // most
+        return lanes.gather(place, at) * most + (index - at * most)
 
     def classify(self, pairs):
         """Which pairs exist, where they may contribute, and which of them are too complicated."""

@@ -199,12 +199,14 @@ def real(patch, uv, light, eta, o, d, t_max):
 
 
 class Culling:
-    """What the package makes of a scene with one body and one light."""
+    """What the package makes of a scene with one body and one light; where things are estimated, they are found exactly
+    instead."""
 
     def __init__(self, scene, **options):
         from mitsuba_refscatter.integrators.lit import Prepared  # made anew for each variant
 
-        self.prepared = Prepared(scene, Options(**options), lambda: 0, Kept())
+        exact = {"samples_visibility": False, "coarse": 0.0}
+        self.prepared = Prepared(scene, Options(**options), lambda: 0, Kept(), changes=exact)
         self.body, light = self.prepared.scene.bodies[0], self.prepared.scene.lights[0]
         self.lighting, self.culling = self.prepared.lit(self.body, self.prepared.scene.regions[0], light.exact)
 

@@ -154,7 +154,7 @@ def test_beams_are_free_as_far_as_said(rgb, tmp_path, name, eta):
     """No ray of a beam leaves its body before the beam's clear length."""
     mesh, proven = concave_bodies()[name][0], []
     for light in lights_around(mesh):
-        culling = one_body(mesh, eta, light, tmp_path, tolerance=0.001)
+        culling = one_body(mesh, eta, light, tmp_path)
         record = culling.culling.records.numpy().reshape(-1, beam.BEAM).astype(float)
         triangle = culling.culling.triangles.numpy().astype(int) - culling.body.first_record
         record, triangle = (x[record[:, 19] >= 0] for x in (record, triangle))  # without empty places

@@ -75,7 +75,7 @@ def measure(setup):
     times = {method: [] for method in render}
     for _ in range(setup.repeats):
         for method, work in render.items():
-            times[method].append(_clock(work))
+            times[method].append(clock(work))
     for row in rows:
         row["wall_seconds"], row["cpu_seconds"] = (statistics.median(x) for x in zip(*times[row["method"]]))
     volpath = rows[-1]
@@ -117,7 +117,7 @@ def _pairs(scene, settings):
     return {"rays": rays, "candidates_per_ray": candidates, "contributing_per_ray": contributions}
 
 
-def _clock(work):
+def clock(work):
     """Wall and CPU seconds of a render, to the last kernel."""
     import drjit as dr
 

@@ -15,7 +15,7 @@ from .. import lanes, tolerances
 from ..geometry import bvh, triangle
 from . import beam as light_beam
 from . import beam_tree
-from .pairs import Reach, Taken
+from .pairs import UNKNOWN, Reach, Taken
 
 
 @dataclass
@@ -48,6 +48,20 @@ class Beams:
     def plausible(self, pairs, segment, light):
         """Places of the leaves without a beam hold ``beam.nothing``."""
         return mi.Bool(True)
+
+    def near(self, beam, bundles):
+        """Which beams (indices) may have zeros of g for a segment of bundles, lane by lane."""
+        piece = light_beam.unpack(triangle.gather_numbers(self.records, beam, light_beam.BEAM))
+        low, high, reach, far = mi.Float(1e30), mi.Float(-1e30), mi.Float(0), mi.Float(0)
+        for p, w in zip(piece.P, piece.omega):
+            to = p - bundles.o
+            across = dr.cross(to, bundles.d)
+            g = dr.dot(w, across)
+            low, high = dr.minimum(low, g), dr.maximum(high, g)
+            reach, far = dr.maximum(reach, dr.squared_norm(across)), dr.maximum(far, dr.squared_norm(to))
+        pad = dr.sqrt(far) * bundles.spread_d + bundles.spread_o
+        bound = piece.bend * (dr.sqrt(reach) + pad) + piece.twist + pad
+        return (piece.twist >= 0) & (low <= bound) & (high >= -bound)
 
     def triangle_of(self, pairs, active=True):
         """Indices of the pairs' triangles among the scene's records."""
@@ -108,7 +122,7 @@ def build(body, scene_records, order, light, bend, seen, clear):
 
     ``seen(triangles) -> (kept, proven)``: which triangles the light may reach, as indices into the argument, and
     for each of these whether all of it is known to be lit. ``clear(tri, piece)``: the numbers of ``pairs.Reach``, or None
-    where no beam is ever blocked.
+    where nothing is known of it.
     """
     place = dr.compress(_lit(triangle.gather(scene_records, order), light))
     lit = lanes.gather(order, place)
@@ -129,7 +143,7 @@ def build(body, scene_records, order, light, bend, seen, clear):
     records = dr.empty(mi.Float, count * light_beam.BEAM)
     tri = triangle.gather(scene_records, index)
     piece = light_beam.nothing(light_beam.piece_at(tri, light, u0, v0, h), ~exists)
-    reach = [mi.Float(0)] * 5 if clear is None else clear(tri, piece)
+    reach = [mi.Float(0)] * 4 + [mi.Float(UNKNOWN)] if clear is None else clear(tri, piece)
     triangle.scatter_numbers(records, light_beam.numbers(piece, reach), dr.arange(mi.UInt32, count))
     width = float(dr.mean(dr.norm(h * tri.P_u))[0])
     dr.eval(records, index, proven)
@@ -151,6 +165,10 @@ def _in_leaves(place, parent, code, level):
 
 
 def _expand(level):
-    """One entry per sub-triangle: index of its parent in ``level``, code, level."""
-    parent, code = lanes.repeat(4 ** level.numpy().astype(np.int64))
-    return parent, code, dr.gather(mi.UInt32, level, parent)
+    """One entry per sub-triangle: index of its parent in ``level``, code, level. Neighbours in order are so in the triangle."""
+    parent, number = lanes.repeat(4 ** level.numpy().astype(np.int64))
+    level = dr.gather(mi.UInt32, level, parent)
+    code = mi.UInt32(0)
+    for k in range(tolerances.MAX_SUBDIVISION):  # the digits in reverse: the first one is that of the largest part
+        code = dr.select(k < level, (code << 2) | ((number >> (2 * k)) & 3), code)
+    return parent, code, level

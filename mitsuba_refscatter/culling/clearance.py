@@ -13,13 +13,10 @@ from .. import tolerances
 from ..geometry import bvh
 from ..geometry.surface import Surface
 from . import beam
+from .pairs import UNKNOWN
 
 NODE = 12
 """Numbers per node: centre and radius of a sphere, middle and half width of the normals' box, 2 pad."""
-
-
-UNKNOWN = 1e30
-"""What is added to a length to say nothing about what is behind it."""
 
 
 def estimate(reach, light):

@@ -13,10 +13,11 @@ from ..culling.clearance import Clearance, estimate
 from ..culling.spindle import Spindle
 from ..estimators import curve, interval, point, straight
 from ..estimators.lighting import Lighting, Sums
-from ..scene import holds, read, region_of_camera
+from ..scene import coarse, holds, read, region_of_camera
 from ..scene import lights as light_points
 from ..sequence import LIGHT, Sequence
 from ..wavefront import Segments
+from . import coarseness
 
 ESTIMATORS = {"curve": curve, "interval": interval, "point": point}
 
@@ -25,11 +26,11 @@ class Prepared:
     """What one render needs to know of a scene, read once: records, accuracy, estimator, culling; and, where lights must be
     drawn, the numbers that ``seed()`` gives. ``straight``: whether light is never refracted."""
 
-    def __init__(self, scene, opt, seed, kept, straight=False):
+    def __init__(self, scene, opt, seed, kept, straight=False, changes=None):
         self.kept = kept
         kept.next_round()
         self.scene = read(scene, opt.tolerance, kept, straight)
-        self.accuracy = tolerances.accuracy(opt.tolerance)
+        self.accuracy = replace(tolerances.accuracy(opt.tolerance), **(changes or {}))
         if opt.samples:
             self.accuracy = replace(
                 self.accuracy, interval_samples=opt.samples, point_samples=opt.samples, adapts=False
@@ -56,18 +57,56 @@ class Prepared:
 
     def pace(self, body):
         """``wavefront.Pace`` for a body."""
-        return self.once(wavefront.Pace, "pace", body.first_record)
+        return self.once(wavefront.Pace, "pace", body.first_record, *body.key)
 
     def through_media(self, body):
         """Whether light comes to a boundary through a medium or straight through other boundaries."""
         outside = self.scene.regions[body.outside] if body.outside != lanes.NONE else None
         return self.scene.straight is not None or (outside is not None and outside.medium is not None)
 
+    def records(self, body):
+        """The packed triangles of a body, and maybe others."""
+        if body.apart == 0:
+            return self.scene.records
+        return self.kept.once(lambda: lanes.array(mi.Float, body.packed()), "records", *body.key)
+
+    def instead(self, body, region, light, light_point, stretch, sigma_t):
+        """The body, or one with a coarser mesh that refracts the light of a ``light`` as well as the tolerance asks for."""
+        error = self.accuracy.coarse
+        if error == 0 or self.culling != "beams" or self.estimator is not curve:
+            return body
+        levels = self.kept.once(lambda: coarse.levels(body, *coarseness.turns(error)), "levels", error, *body.key)
+
+        def measure(i, j):
+            some = coarseness.some(dr.width(stretch.t_max))
+            part = stretch.gather(some)
+            segments = part.segments(body.centre, lanes.of(sigma_t, some))
+            a, b = (
+                coarseness.radiance(segments, part.weight, *self.lit(levels[k].of(body), region, light_point, part.wavelengths),
+                                    self.accuracy, self.estimator)
+                for k in (i, j)
+            )  # fmt: skip
+            return float(np.abs(a - b).sum() / max(b.sum(), 1e-30))
+
+        def choose():
+            return coarseness.suitable([level.turn for level in levels], error, measure)
+
+        chosen = 0 if len(levels) == 1 else self.kept.once(choose, "coarse", error, light.index, *body.key)
+        return levels[chosen].of(body)
+
     def shadows(self, body, light_point):
         """``visibility.Shadows`` of a light point."""
         source = light_point.source(dr.opaque(mi.Float, body.eta), dr.opaque(mi.Point3f, body.centre))
         dr.eval(source.L)
-        return visibility.Shadows(self.scene, body, source, light_point.shape, self.through_media(body))
+        return visibility.Shadows(
+            self.scene,
+            body,
+            self.records(body),
+            source,
+            light_point.shape,
+            self.through_media(body),
+            self.accuracy.samples_visibility,
+        )
 
     def lighting(self, body, region, light_point, shadows, wavelengths=None):
         """``Lighting`` of light points in the region inside a boundary. ``wavelengths``: of the camera segments."""
@@ -87,15 +126,15 @@ class Prepared:
             shadows = self.shadows(body, light_point)
             return shadows, self._culling(body, shadows.light, shadows)
 
-        shadows, culling = make() if key is None else self.once(make, "lit", body.first_record, key)
+        shadows, culling = make() if key is None else self.once(make, "lit", body.first_record, key, *body.key)
         return self.lighting(body, region, light_point, shadows, wavelengths), culling
 
     def _culling(self, body, source, shadows):
-        records, place = self.scene.records, (body.first_record, *self.scene.key)
+        records, place = self.records(body), (body.first_record, *body.key, *self.scene.key)
         if self.culling == "spindle":
             return self.kept.once(lambda: Spindle(body, records), "spindle", *place)
         clear = None
-        if shadows.may_prove_inside and self.accuracy.samples_reach:
+        if shadows.may_prove_inside and self.accuracy.samples_visibility:
             clear = estimate(lambda P, Ng, omega: shadows.reach(P, Ng, omega, None), source)
         elif shadows.may_prove_inside:
             corners = body.corners - body.centre
@@ -209,6 +248,7 @@ def _refracted(prepared, region, light, stretch, light_point, value, single, see
     sigma_s, sigma_t = region.coefficients(stretch.wavelengths, stretch.d)
     key = None if light.exact is None else light.index
     for body in region.boundaries:
+        body = prepared.instead(body, region, light, light_point, stretch, sigma_t)
         lighting, culling = prepared.lit(body, region, light_point, stretch.wavelengths, key)
         if culling is None:
             continue

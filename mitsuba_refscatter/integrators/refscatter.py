@@ -86,6 +86,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         self.nested = _nested(props, self.hide_emitters)
         self.progress = self.watch = None  # for ``film.render``
         self.counts, self.kept = wavefront.Counts(), Kept()
+        self.changes = {}  # fields of ``tolerances.Accuracy``, for measurements
 
     def aov_names(self):
         return [channel for name in options.aov_list(self.options) for channel in options.AOVS[name]]
@@ -121,7 +122,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
 
     def prepare(self, scene, seed):
         """``Prepared`` for a scene; ``seed()`` gives the seed of its random numbers."""
-        return Prepared(scene, self.options, seed, self.kept)
+        return Prepared(scene, self.options, seed, self.kept, changes=self.changes)
 
     def scatter(self, prepared, paths, ray, n, batch, sampler, detail, progress):
         """``Sums`` of single scattering along the camera paths, per camera sample."""

@@ -28,7 +28,9 @@ class Body:
     (F, 3); ``corner_normals`` (F, 3, 3); ``twin``: of each directed edge (``mesh.twins``); ``closed``: whether the mesh is;
     ``first_record``: of its triangles in ``Scene.records``; ``centre``: 3 floats; ``box``: of the mesh, world;
     ``box_low``, ``box_high``: of what its light can reach, body coordinates; ``size``: diagonal of that, or where it has no
-    end the length that matters; ``extent``: largest coordinate, world; ``key``: what it was made from (``kept.Kept``); ``inside``, ``outside``: indices of regions, or NONE.
+    end the length that matters; ``extent``: largest coordinate, world; ``key``: what it was made from (``kept.Kept``);
+    ``faces``: (F, 3) indices of vertices with one position and normal each, or None where normals are those of facets;
+    ``apart``: how far the triangles are from the boundary that they stand for; ``inside``, ``outside``: indices of regions, or NONE.
     """
 
     name: str
@@ -51,6 +53,8 @@ class Body:
     size: float
     tints: dict
     key: tuple
+    faces: object
+    apart: float = 0.0
     inside: int = NONE
     outside: int = NONE
 
@@ -92,7 +96,7 @@ class Body:
         return replace(
             self, eta=1 / self.eta, corners=self.corners[:, turned], normals=-self.normals, closed=False, convex=False,
             corner_normals=-self.corner_normals[:, turned], twin=np.where(twin < 0, -1, new_of_old[twin]),
-            first_record=first_record, inside=self.outside, outside=self.inside, key=("flipped", *self.key),
+            faces=None if self.faces is None else self.faces[:, turned], first_record=first_record, inside=self.outside, outside=self.inside, key=("flipped", *self.key),
         )  # fmt: skip
 
 
@@ -146,7 +150,8 @@ def _read(shape, kind, eta, name, key):
         agreement = np.bincount(part, np.einsum("fki,fi,f->f", normals[faces], winding, area))
     Ng = _outward(corners, winding, part, name) if closed else _front(shape, winding, agreement)
     corner_normals = np.repeat(Ng[:, None, :], 3, axis=1)
-    if normals is not None and eta != 1 and kind == "refracts":  # else shading normals play no part
+    smooth = eta != 1 and kind == "refracts"
+    if normals is not None and smooth:  # else shading normals play no part
         turned = np.sign(agreement)[part] * np.sign(np.einsum("fi,fi->f", Ng, winding))
         corner_normals = normals[faces] * np.where(turned < 0, -1, 1)[:, None, None]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
@@ -156,6 +161,7 @@ def _read(shape, kind, eta, name, key):
         twin=twin, closed=closed, convex=closed and mesh_facts.is_convex(corners, Ng, topology, twin),
         centre=centre.tolist(), box=(low, high), first_record=0, extent=float(np.abs(corners).max()),
         box_low=(low - centre).tolist(), box_high=(high - centre).tolist(), size=float(np.linalg.norm(high - low)), tints={}, key=key,
+        faces=faces if normals is not None and smooth else None,
     )  # fmt: skip
 
 

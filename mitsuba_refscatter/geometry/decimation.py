@@ -1,0 +1,184 @@
+"""A coarse mesh through some of the vertices of a fine one: vertices are taken away while the surface stays smooth.
+
+Half-edge collapses (a vertex is moved onto one of its neighbours) in rounds, each of many at once that do not touch.
+What lies on creases and holes stays: there, faces have vertices of their own. NumPy float64.
+"""
+
+import numpy as np
+
+from . import mesh
+
+WORTH = 0.01
+"""Vertices relative to faces that must go in a round for another one of the same length."""
+
+SHAPE = 0.25
+"""Least height of a triangle relative to its longest edge."""
+
+START_SHAPE = 0.15
+"""The same in the first round, else nothing could be taken away from a regular mesh."""
+
+LEAN = 0.7
+"""Least cosine between a face and the normals at its corners."""
+
+
+def coarser(vertices, normals, faces, twin, turns, longest):
+    """Ever coarser meshes over the same ``vertices`` (V, 3): yields faces (K, 3) for each of the ``turns``.
+
+    ``normals``: unit, (V, 3), on the side to which ``faces`` (F, 3) wind; ``twin``: of each directed edge (``mesh.twins``);
+    ``turns``: largest differences between the normals at the ends of edges that are made, rising; ``longest``: of these edges.
+    """
+    fixed = np.zeros(len(vertices), dtype=bool)
+    fixed[faces.ravel()[twin < 0]] = fixed[np.roll(faces, -1, axis=1).ravel()[twin < 0]] = True
+    vertices, normals = vertices.astype(np.float32), normals.astype(np.float32)
+    random = np.random.default_rng(0)
+    shape = START_SHAPE
+    for least in (1 - 0.5 * turn**2 for turn in turns):
+        done = len(faces)
+        while done > WORTH * len(faces):
+            faces, done = _round(vertices, normals, faces, fixed, longest, least, shape, random)
+            if shape < SHAPE:
+                faces, _ = _flips(vertices, normals, faces, least, random)
+            shape = SHAPE
+        done = len(faces)
+        while done > WORTH * len(faces):
+            faces, done = _flips(vertices, normals, faces, least, random)
+        yield faces
+
+
+def _flips(vertices, normals, faces, turn, random):
+    """Turns some edges between two faces into the other diagonal where the angles opposite to them are more than half a turn
+    together; ``turn``: smallest cosine between the normals at the ends of the new one. Returns the faces and how many edges were turned."""
+    twin = mesh.twins(faces)
+    assert twin is not None, "collapses and flips keep edges between two faces"
+    edge = np.flatnonzero(np.arange(len(twin)) < twin)
+    other = twin[edge]
+    corner = faces.ravel()
+    a, b, c, d = corner[edge], corner[_next(edge)], corner[_next(_next(edge))], corner[_next(_next(other))]
+    cosine_c, sine_c = _angle(vertices, c, a, b)
+    cosine_d, sine_d = _angle(vertices, d, a, b)
+    bad = sine_c * cosine_d + cosine_c * sine_d < -1e-3
+    bad &= np.einsum("ij,ij->i", normals[c], normals[d]) >= turn
+    edge, other, a, b, c, d = (x[bad] for x in (edge, other, a, b, c, d))
+    for x, y, z in ((a, d, c), (d, b, c)):
+        good = _lies_well(vertices, normals, x, y, z)
+        edge, other, a, b, c, d = (x[good] for x in (edge, other, a, b, c, d))
+    rank = random.permutation(len(edge))
+    least = np.full(len(faces), len(edge))
+    for face in (edge // 3, other // 3):
+        np.minimum.at(least, face, rank)
+    chosen = (least[edge // 3] == rank) & (least[other // 3] == rank)
+    tail, head = corner, np.roll(faces, -1, axis=1).ravel()
+    edge, other, a, b, c, d = (x[chosen] for x in (edge, other, a, b, c, d))
+    good = ~_clash(c, d, tail, head, len(vertices))
+    edge, other, a, b, c, d = (x[good] for x in (edge, other, a, b, c, d))
+    faces = faces.copy()
+    faces[edge // 3], faces[other // 3] = np.stack([a, d, c], axis=1), np.stack([d, b, c], axis=1)
+    return faces, len(edge)
+
+
+def _next(edge):
+    """The edge that follows in a face."""
+    return edge - edge % 3 + (edge + 1) % 3
+
+
+def _angle(vertices, at, a, b):
+    """Cosine and sine of angles."""
+    x, y = vertices[a] - vertices[at], vertices[b] - vertices[at]
+    cosine, sine = np.einsum("ij,ij->i", x, y), np.linalg.norm(np.cross(x, y), axis=1)
+    length = np.sqrt(cosine**2 + sine**2)
+    return cosine / length, sine / length
+
+
+def _lies_well(vertices, normals, a, b, c):
+    m = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a])
+    least = LEAN * np.linalg.norm(m, axis=1)
+    return np.all([np.einsum("ij,ij->i", m, normals[i]) > least for i in (a, b, c)], axis=0)
+
+
+def _keys(a, b, count):
+    return a.astype(np.int64) * count + b
+
+
+def _round(vertices, normals, faces, fixed, longest, turn, least_shape, random):
+    """Collapses some vertices, no two of them neighbours. Returns the faces left and how many vertices went."""
+    count = len(vertices)
+    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    rank = np.full(count, np.inf, dtype=np.float32)
+    used = np.zeros(count, dtype=bool)
+    used[tail] = True
+    free = np.flatnonzero(used & ~fixed)
+    rank[free] = random.permutation(len(free))
+    least = rank.copy()
+    np.minimum.at(least, tail, rank[head])
+    chosen = (least == rank) & np.isfinite(rank)
+    # The fans: faces (u, p, q) around each chosen u. No face is in two of them.
+    face, k = np.nonzero(chosen[faces])
+    u, p, q = (faces[face, (k + i) % 3] for i in range(3))
+    order = np.argsort(u, kind="stable")
+    u, p, q = u[order], p[order], q[order]
+    v = _best(vertices, normals, u, p, q, longest, turn, least_shape)
+    target = np.full(count, -1, dtype=np.int64)
+    target[u] = v
+    second = np.zeros(count, dtype=np.int64)
+    second[u[p == v]] = q[p == v]
+    made = (v >= 0) & (p != v) & (q != v) & (p != second[u])
+    refused = np.zeros(count, dtype=bool)
+    refused[u[made][_clash(v[made], p[made], tail, head, count)]] = True
+    gone = np.flatnonzero((target >= 0) & ~refused)
+    to = np.arange(count)
+    to[gone] = target[gone]
+    faces = to[faces]
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return faces[whole], len(gone)
+
+
+def _best(vertices, normals, u, p, q, longest, turn, least_shape):
+    """For the faces (u, p, q) of each fan, sorted by u: the neighbour of u that it may be moved onto such that the worst of
+    the faces is best shaped; -1 where there is none."""
+    first = np.flatnonzero(np.r_[True, u[1:] != u[:-1]])
+    degree = np.diff(np.r_[first, len(u)])
+    # Every face of a fan with every neighbour in it.
+    of = np.repeat(first, degree), np.repeat(degree, degree)
+    face = np.repeat(np.arange(len(u)), of[1])
+    start = np.cumsum(of[1]) - of[1]
+    neighbour = np.repeat(of[0], of[1]) + np.arange(len(face)) - np.repeat(start, of[1])
+    v = p[neighbour]
+    shape = _shape(vertices, normals, v, p, q, face, longest, turn)
+    worst = np.full(len(u), np.inf)
+    np.minimum.at(worst, neighbour, np.where((p[face] == v) | (q[face] == v), np.inf, shape))
+    best = np.maximum.reduceat(worst, first)
+    best = np.repeat(best, degree)
+    chosen = np.flatnonzero((worst == best) & (best >= least_shape))
+    group = np.repeat(np.arange(len(first)), degree)
+    of_group = np.full(len(first), -1, dtype=np.int64)
+    of_group[group[chosen]] = p[chosen]
+    return of_group[group]
+
+
+def _shape(vertices, normals, v, p, q, face, longest, turn):
+    """Height relative to the longest edge of faces (v, p, q), where ``face`` says which (p, q); -1 where they do not lie well
+    below their normals or an edge (v, p) is not allowed."""
+    at_p, at_q, n_p = vertices[p], vertices[q], normals[p]
+    opposite = np.square(at_p - at_q).sum(axis=1)
+    at, n = vertices[v], normals[v]
+    a, b = at_p[face] - at, at_q[face] - at
+    m = np.cross(a, b)
+    area, edge2 = np.sqrt(np.einsum("ij,ij->i", m, m)), np.einsum("ij,ij->i", a, a)
+    good = (edge2 <= longest**2) & (np.einsum("ij,ij->i", n, n_p[face]) >= turn)
+    good &= np.einsum("ij,ij->i", m, n) >= LEAN * area
+    edge2 = np.maximum(np.maximum(edge2, np.einsum("ij,ij->i", b, b)), opposite[face])
+    return np.where(good, area / edge2, -1)
+
+
+def _clash(v, p, tail, head, count):
+    """Which of the edges (v, p) that collapses make exist already or are made by another one, too."""
+    key = _keys(np.minimum(v, p), np.maximum(v, p), count)
+    near = np.zeros(count, dtype=bool)
+    near[v] = True
+    known = near[tail] | near[head]
+    tail, head = tail[known], head[known]
+    there = np.isin(key, _keys(np.minimum(tail, head), np.maximum(tail, head), count))
+    _, first = np.unique(key, return_index=True)
+    again = np.ones(len(key), dtype=bool)
+    again[first] = False
+    return there | again
