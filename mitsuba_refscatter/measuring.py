@@ -34,6 +34,7 @@ def scaling(
     bounces: int = typer.Option(
         0, "--internal-bounces", min=0, help="Of refscatter; volpath has none in this comparison."
     ),
+    tolerance: float = typer.Option(0.01, "--tolerance", min=0.0, max=1.0, help="Of refscatter."),
     methods: list[str] = typer.Option(
         list(scaling_runs.OURS), "--method", help="Method to compare with volpath; repeatable."
     ),
@@ -45,7 +46,7 @@ def scaling(
         require("matplotlib")
     variant = measurable(variant, directory)
     shown = table("triangles", "method", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray",
-                   "contributing/ray", "L1 error", "peak MiB")  # fmt: skip
+                   "contributing/ray", "L1 error", "first s", "peak MiB")  # fmt: skip
 
     def add(rows):
         for row in rows[:-1]:
@@ -54,13 +55,13 @@ def scaling(
                 str(row["triangles"]), row["method"], f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
                 f"{row['volpath_samples_of_same_wall_time']:.0f}", f"{row['volpath_samples_of_same_cpu_time']:.0f}",
                 *("" if row[key] is None else f"{row[key]:.0f}" for key in ("candidates_per_ray", "contributing_per_ray")),
-                f"{row['mean_relative_error']:.1e}",
+                f"{row['mean_relative_error']:.1e}", f"{row['first_seconds']:.1f}",
                 "" if memory is None else f"{memory / 2**20:.0f}",
             )  # fmt: skip
         err.print(f"{rows[0]['triangles']} triangles done")
 
     rows = scaling_runs.run(triangles, add, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces,
-                            methods=tuple(methods), variant=variant)  # fmt: skip
+                            tolerance=tolerance, methods=tuple(methods), variant=variant)  # fmt: skip
     out.print(shown)
     for (method, key), power in scaling_runs.exponents(rows).items():
         out.print(f"{method}: {key} grows with triangles^{power:.2f}", markup=False)
@@ -149,6 +150,10 @@ def tradeoff(
     directory: Path = typer.Option(..., "-o", "--output", help="Directory for tradeoff.png and results.json."),
     bounces: int = typer.Option(4, "--internal-bounces", min=0, help="Internal reflections."),
     samples: int = typer.Option(1, "--samples", min=1, help="Samples per pixel."),
+    tolerance: list[float] = typer.Option(
+        list(tradeoff_runs.TOLERANCES), "--tolerance", min=0.0, max=1.0, help="Tolerance; repeatable."
+    ),
+    choices: bool = typer.Option(True, help="Switch what the tolerance decides singly, too."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant (rgb)."),
     define: list[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),
 ):
@@ -172,7 +177,7 @@ def tradeoff(
                 ("wall_seconds", ".2f"), ("cpu_seconds", ".2f"), ("first_seconds", ".1f"))),
         )  # fmt: skip
 
-    rows, setup = [], tradeoff_runs.Setup(variant, bounces, samples)
+    rows, setup = [], tradeoff_runs.Setup(variant, tuple(tolerance), choices, bounces, samples)
     for path in scene:
         name = path.resolve().parent.name if path.stem == "scene" else path.stem
         rows += tradeoff_runs.run(name, load(path, defines(define)), setup, add)

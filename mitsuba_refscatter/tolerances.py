@@ -139,7 +139,7 @@ FOLD_STEPS = 4
 PIECES = 1 << 21
 """Most parts of beams that are looked at in one kernel."""
 
-TURN_ERROR = 0.3, 3.0
+TURN_ERROR = 0.1, 3.0
 """The least and the largest error of an image by a coarse mesh, per square of the turn of its normals along edges, that are
 reckoned with."""
 
@@ -211,16 +211,16 @@ def accuracy(tolerance):
         return Accuracy(
             bend=0.5,
             points=1,
-            newton=1,
-            weight=1e-2 * tolerance,
-            linear=0.5,
+            newton=0,
+            weight=0.2 * tolerance,
+            linear=1.0,
             clip=0.05,
             interval_samples=1,
             point_samples=8,
             panels=6,
             panel_points=2,
             lobes=1e-2,
-            coarse=0.7 * tolerance,
+            coarse=0.8 * tolerance,
             samples_visibility=True,
         )
     if tolerance >= 0.01:
@@ -228,7 +228,7 @@ def accuracy(tolerance):
             bend=0.1,
             points=1,
             newton=1,
-            weight=1e-2 * tolerance,
+            weight=0.1 * tolerance,
             linear=0.25,
             clip=0.01,
             interval_samples=1,

@@ -16,8 +16,10 @@ from .. import scenes as scene_files
 from . import results
 from .methods import LIGHT_RADIUS, METHODS, depth, for_volpath
 
-SIZES = (1280, 5120, 20480, 81920, 327680)
-OURS = tuple(method for method in METHODS if method != "volpath")
+SIZES = (1280, 5120, 20480, 81920, 327680, 1310720)
+EXACT_MESH = "refscatter_exact_mesh"
+"""``refscatter`` by the body's own mesh, none coarser; else as at the same tolerance."""
+OURS = ("refscatter", EXACT_MESH, *(method for method in METHODS if method not in ("refscatter", "volpath")))
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,15 @@ class Setup:
 
     def settings(self, method):
         common = {"surfaces": False, "internal_bounces": self.internal_bounces, "tolerance": self.tolerance}
-        return {**common, **METHODS[method]}
+        return {**common, **METHODS["refscatter" if method == EXACT_MESH else method]}
+
+    def integrator(self, method, **properties):
+        import mitsuba as mi
+
+        integrator = mi.load_dict({**self.settings(method), **properties})
+        if method == EXACT_MESH:
+            integrator.changes = {"coarse": 0.0}
+        return integrator
 
 
 def measure(setup):
@@ -55,15 +65,17 @@ def measure(setup):
         scene = mi.load_file(str(path), optimize=False, res=str(setup.resolution))
     rows, render, images = [], {}, {}
     for method in setup.methods:
-        settings = setup.settings(method)
-        integrator = mi.load_dict(settings)
+        settings, integrator = setup.settings(method), setup.integrator(method)
         render[method] = lambda integrator=integrator: integrator.render(scene, spp=1)
+        start = time.perf_counter()
         images[method] = np.array(render[method](), dtype=np.float64)
+        first = time.perf_counter() - start
         # The first method's peak is its own; the others' are hidden behind it.
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 if not rows else None
-        pairs = _pairs(scene, settings) if settings["type"] == "refscatter" else {}
-        rows.append({**_row(setup, triangles, method, settings, 1), **NO_PAIRS, **pairs, "peak_memory_bytes": memory})
-    exact = mi.load_dict({**setup.settings("refscatter"), "tolerance": 0.0})
+        pairs = _pairs(scene, setup, method, integrator.kept) if settings["type"] == "refscatter" else NO_PAIRS
+        own = {"first_seconds": first, "peak_memory_bytes": memory}
+        rows.append({**_row(setup, triangles, method, settings, 1), **pairs, **own})
+    exact = setup.integrator("refscatter", tolerance=0.0)
     truth = np.array(exact.render(scene, spp=1), dtype=np.float64)
     for row in rows:
         row["mean_relative_error"] = np.abs(images[row["method"]] - truth).sum() / truth.sum()
@@ -105,12 +117,13 @@ def run(sizes, report=lambda rows: None, **setup):
 NO_PAIRS = {"rays": None, "candidates_per_ray": None, "contributing_per_ray": None}
 
 
-def _pairs(scene, settings):
-    """Rays that enter the body, and the candidate and contributing pairs that each has in the mean."""
-    import mitsuba as mi
+def _pairs(scene, setup, method, kept):
+    """Rays that enter the body, and the candidate and contributing pairs that each has in the mean. ``kept``: what is known
+    of the scene."""
     import numpy as np
 
-    integrator = mi.load_dict({**settings, "aovs": "candidates,contributions"})
+    integrator = setup.integrator(method, aovs="candidates,contributions")
+    integrator.kept = kept
     image = np.array(integrator.render(scene, spp=1), dtype=np.float64)
     rays = max(integrator.counts.segments, 1)
     candidates, contributions = image[..., -2].sum() / rays, image[..., -1].sum() / rays

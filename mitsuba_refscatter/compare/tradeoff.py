@@ -30,18 +30,23 @@ CHOICES = {
 
 @dataclass(frozen=True)
 class Setup:
-    """One measurement: ``repeats`` renders of each setting in turn after one that compiles."""
+    """One measurement: ``repeats`` renders of each setting in turn after one that compiles. ``choices``: whether those of
+    ``CHOICES`` are switched, too."""
 
     variant: str
+    tolerances: tuple = TOLERANCES
+    choices: bool = True
     internal_bounces: int = 4
     samples: int = 1
     repeats: int = 3
 
 
-def settings():
+def settings(setup):
     """(name, tolerance, changes to its ``Accuracy``) of all renders: the tolerances; then the default with each choice as at
     ``REFERENCE``, and as at the loosest tolerance, where that is another one."""
-    out = [(f"{tolerance:g}", tolerance, {}) for tolerance in TOLERANCES]
+    out = [(f"{tolerance:g}", tolerance, {}) for tolerance in setup.tolerances]
+    if not setup.choices:
+        return out
     default = tolerances.accuracy(DEFAULT)
     for other, what in ((REFERENCE, "exact"), (TOLERANCES[0], "loose")):
         accuracy = tolerances.accuracy(other)
@@ -73,7 +78,7 @@ def run(name, scene, setup, report=lambda row: None):
         return np.array(render(), dtype=np.float64)[..., -3:]
 
     reference = image(prepared(REFERENCE, {}))
-    every = settings()
+    every = settings(setup)
     renders = [prepared(tolerance, changes) for _, tolerance, changes in every]
     first, images = [], []
     for render in renders:

@@ -59,9 +59,8 @@ def _flips(vertices, normals, faces, turn, random):
     bad = sine_c * cosine_d + cosine_c * sine_d < -1e-3
     bad &= np.einsum("ij,ij->i", normals[c], normals[d]) >= turn
     edge, other, a, b, c, d = (x[bad] for x in (edge, other, a, b, c, d))
-    for x, y, z in ((a, d, c), (d, b, c)):
-        good = _lies_well(vertices, normals, x, y, z)
-        edge, other, a, b, c, d = (x[good] for x in (edge, other, a, b, c, d))
+    good = _lies_well(vertices, normals, a, d, c) & _lies_well(vertices, normals, d, b, c)
+    edge, other, a, b, c, d = (x[good] for x in (edge, other, a, b, c, d))
     rank = random.permutation(len(edge))
     least = np.full(len(faces), len(edge))
     for face in (edge // 3, other // 3):
