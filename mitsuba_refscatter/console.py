@@ -131,8 +131,7 @@ def load(scene: Path, values: dict[str, str]):
         raise Failure(f"there is no scene file {scene}")
     meshcheck.check_scene(scene, values)
     try:
-        # Merged shapes lose the names that error messages need.
-        loaded = mi.load_file(str(scene), optimize=False, **values)
+        loaded = scene_files.load(scene, **values)
     except (RuntimeError, ValueError, TypeError) as error:
         raise Failure(cause(error)) from error
     if not isinstance(loaded, mi.Scene):

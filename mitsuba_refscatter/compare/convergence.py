@@ -35,7 +35,7 @@ def run(scene, most, report=lambda row: None, *, variant, resolution):
 
     with tempfile.TemporaryDirectory() as directory:
         path, triangles = scene_files.write_scene(scene, directory, SCENES.get(scene))
-        loaded = mi.load_file(str(path), optimize=False, res=str(resolution))
+        loaded = scene_files.load(path, res=str(resolution))
 
     def render(**settings):
         integrator = mi.load_dict({"type": "refscatter", **FIXED, **settings})

@@ -95,7 +95,7 @@ class _Scenes:
         scene_files.write_scene(STUDIO_SCENE, directory / STUDIO_SCENE, 20)
         self._studio = directory / STUDIO_SCENE / scene_files.STUDIO
         path.write_text(path.read_text().replace('sampler type="independent"', f'sampler type="{SAMPLER}"'))
-        base, clear = (mi.load_file(str(path), optimize=False, res=str(setup.resolution)) for _ in range(2))
+        base, clear = (scene_files.load(path, res=str(setup.resolution)) for _ in range(2))
         self._sensor, point = base.sensors()[0], mi.traverse(base.emitters()[0])
         self._position, self._intensity = (np.array(point[key]).ravel() for key in ("position", "intensity.value"))
         parameters = mi.traverse(clear)

@@ -62,7 +62,7 @@ def measure(setup):
 
     with tempfile.TemporaryDirectory() as directory:
         path, triangles = scene_files.write_scene(setup.scene, directory, setup.triangles)
-        scene = mi.load_file(str(path), optimize=False, res=str(setup.resolution))
+        scene = scene_files.load(path, res=str(setup.resolution))
     rows, render, images = [], {}, {}
     for method in setup.methods:
         settings, integrator = setup.settings(method), setup.integrator(method)

@@ -30,7 +30,7 @@ class Case:
         path, count = scene_files.write_scene(self.scene, Path(directory) / self.name, self.triangles)
 
         def load():
-            scene = mi.load_file(str(path), optimize=False, res=str(resolution))
+            scene = scene_files.load(path, res=str(resolution))
             parameters = mi.traverse(scene)
             if self.density != 1:
                 for key, value in parameters:

@@ -12,7 +12,18 @@ from .studio import STUDIO
 from .templates import SCENES
 from .water import water
 
-__all__ = ["BODIES", "SCENES", "STUDIO", "BodyError", "made_as", "make_body", "scene_names", "write_ply", "write_scene"]
+__all__ = [
+    "BODIES",
+    "SCENES",
+    "STUDIO",
+    "BodyError",
+    "load",
+    "made_as",
+    "make_body",
+    "scene_names",
+    "write_ply",
+    "write_scene",
+]
 
 BODIES = {
     "bumpy_sphere": bumpy_sphere,
@@ -61,6 +72,14 @@ def write_scene(name: str, directory, triangles: int | None = None) -> tuple[Pat
     path = directory / "scene.xml"
     path.write_text(SCENES[name].xml(name, len(faces)), encoding="utf-8")
     return path, len(faces)
+
+
+def load(path, **values):
+    """Load a scene file with these parameters: its shapes one by one, not merged, since merged ones lose the names that error
+    messages need; and not in parallel, in which a film was once not made for no reason."""
+    import mitsuba as mi
+
+    return mi.load_file(str(path), optimize=False, parallel=False, **values)
 
 
 def made_as(path) -> str | None:
