@@ -1,6 +1,6 @@
 """The command ``refscatter``: render, compare, check, supported, scenes, scaling, convergence, equal-error.
 
-Errors are one sentence on stderr and exit code 1 (usage: 2, Ctrl-C: 130).
+Errors are one sentence on stderr and exit code 1 (usage: 2, Ctrl-C: 130, SIGTERM: 143).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from rich.table import Table
 
 from . import comparing, measuring, output, platform
 from . import scenes as scene_files
-from .console import Failure, cause, defines, err, load, out, plainly, progress_bar
+from .console import Failure, cause, defines, err, load, out, plainly, progress_bar, stop_on_sigterm
 
 app = typer.Typer(
     add_completion=False,
@@ -163,4 +163,5 @@ app.registered_commands += comparing.app.registered_commands + measuring.app.reg
 
 def main() -> None:
     """Run the command and leave the process with its exit code."""
+    stop_on_sigterm()
     app(prog_name="refscatter")

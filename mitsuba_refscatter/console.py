@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib.util
 import re
+import signal
 import sys
 from pathlib import Path
 from typing import Optional
@@ -26,6 +27,19 @@ class Failure(Exception):
     """An error that is told to the user in one sentence."""
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came."""
+
+
+def stop_on_sigterm() -> None:
+    """Let SIGTERM end a command as Ctrl-C does: what is unfinished is removed."""
+
+    def stop(number, frame):
+        raise Terminated
+
+    signal.signal(signal.SIGTERM, stop)
+
+
 _EXPECTED = (
     Failure,
     platform.PlatformError,
@@ -42,9 +56,9 @@ def plainly(command):
     def wrapped(*args, **kwargs):
         try:
             return command(*args, **kwargs)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as stop:
             err.print("refscatter: stopped; nothing was written")
-            raise typer.Exit(130) from None
+            raise typer.Exit(143 if isinstance(stop, Terminated) else 130) from None
         except _EXPECTED as error:
             err.print(f"refscatter: {error}", markup=False)
             raise typer.Exit(1) from None

@@ -4,6 +4,7 @@ import functools
 import json
 import os
 import re
+import resource
 import signal
 import struct
 import subprocess
@@ -163,7 +164,9 @@ def test_another_integrator_is_replaced_and_ours_is_kept(integrator, replaced, t
 
 
 @needs_variant
-def test_interrupting_keeps_the_earlier_picture(tmp_path):
+@pytest.mark.parametrize("number, after, code", [(signal.SIGINT, 8.0, 130), (signal.SIGTERM, 8.0, 143), (signal.SIGTERM, 0.3, 143)],
+                         ids=["Ctrl-C", "SIGTERM", "SIGTERM early"])  # fmt: skip
+def test_interrupting_keeps_the_earlier_picture(tmp_path, number, after, code):
     (tmp_path / "out.exr").write_bytes(b"earlier")
     command = COMMAND + ["render", str(SPHERE), "-o", "out.exr", "-s", "256"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -172,14 +175,28 @@ def test_interrupting_keeps_the_earlier_picture(tmp_path):
     process = subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, preexec_fn=hears, **pipes)
     assert process.stderr is not None
     assert "Rendering" in process.stderr.readline()
-    time.sleep(8)  # the first kernels are compiled by then
+    time.sleep(after)  # the first kernels are compiled after 8 s
     assert process.poll() is None, "the render ended too early to be stopped"
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     start = time.monotonic()
     _, told = process.communicate(timeout=60)
-    assert process.returncode == 130 and "stopped" in told and "Traceback" not in told
+    assert process.returncode == code and "stopped" in told and "Traceback" not in told
     # Three seconds are wanted on an idle machine; tests share theirs.
     assert time.monotonic() - start < 15
+    assert (tmp_path / "out.exr").read_bytes() == b"earlier"
+    assert [p.name for p in tmp_path.iterdir()] == ["out.exr"]
+
+
+@needs_variant
+def test_a_full_disk_keeps_the_earlier_picture(tmp_path):
+    """No file may grow beyond 3,000 bytes, as on a disk that is full then; the picture would be larger."""
+    (tmp_path / "out.exr").write_bytes(b"earlier")
+    limit = functools.partial(resource.setrlimit, resource.RLIMIT_FSIZE, (3000, 3000))
+    command = COMMAND + ["render", str(SPHERE), "-o", "out.exr", "-D", "res=64", "-s", "1"]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=ENVIRONMENT, preexec_fn=limit, capture_output=True, text=True, timeout=300
+    )
+    assert_one_sentence(done, "out.exr", "cannot be written")
     assert (tmp_path / "out.exr").read_bytes() == b"earlier"
     assert [p.name for p in tmp_path.iterdir()] == ["out.exr"]
 
