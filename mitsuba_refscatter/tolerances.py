@@ -139,14 +139,14 @@ FOLD_STEPS = 4
 PIECES = 1 << 21
 """Most parts of beams that are looked at in one kernel."""
 
-TURN_ERROR = 0.1, 3.0
+TURN_ERROR = 0.1, 6.0
 """The least and the largest error of an image by a coarse mesh, per square of the turn of its normals along edges, that are
 reckoned with."""
 
 COARSE_TRIES = 3
 """Most meshes whose error is measured to find a suitable one."""
 
-COARSE_SEGMENTS = 512
+COARSE_SEGMENTS = 2048
 """Most camera segments on which it is measured."""
 
 SAMPLED = 3.0

@@ -30,6 +30,13 @@ def suitable(turns, error, measure):
     return at
 
 
+def relative(difference, radiance):
+    """The sum of differences relative to that of the radiance, of which both are a sample, and twice its standard error."""
+    total = max(radiance.sum(), 1e-30)
+    ratio = difference.sum() / total
+    return float(ratio + 2 * np.sqrt(((difference - ratio * radiance) ** 2).sum()) / total)
+
+
 def some(n):
     """Numbers of some of ``n`` segments."""
     count = min(n, tolerances.COARSE_SEGMENTS)

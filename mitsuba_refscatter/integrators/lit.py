@@ -73,8 +73,8 @@ class Prepared:
     def instead(self, body, region, light, light_point, stretch, sigma_t):
         """The body, or one with a coarser mesh that refracts the light of a ``light`` as well as the tolerance asks for."""
         error = self.accuracy.coarse
-        if error == 0 or self.culling != "beams" or self.estimator is not curve:
-            return body
+        if error == 0 or self.culling != "beams" or self.estimator is not curve or light.exact is None:
+            return body  # of a light of many points the error at one of them says little about the others
         levels = self.kept.once(lambda: coarse.levels(body, *coarseness.turns(error)), "levels", error, *body.key)
 
         def measure(i, j):
@@ -86,7 +86,7 @@ class Prepared:
                                     self.accuracy, self.estimator)
                 for k in (i, j)
             )  # fmt: skip
-            return float(np.abs(a - b).sum() / max(b.sum(), 1e-30))
+            return coarseness.relative(np.abs(a - b), b)
 
         def choose():
             return coarseness.suitable([level.turn for level in levels], error, measure)
