@@ -99,7 +99,12 @@ LIGHTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LIGHTS)
+LONG = ("disk", "sky")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in LIGHTS]
+)
 def test_lights(tmp_path, name):
     """Every kind of light sends photons; several at once share them. Of ours as many runs as its light points need."""
     scene = load(tmp_path, **LIGHTS[name]())

@@ -216,7 +216,13 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+LONG = ("boundary open water", "boundary sphere", "light pool through glass", "place light in a bubble")
+"""Half a minute each, most of it for kernels: of a kind that others are of, too."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in CASES]
+)
 def test_scene(name):
     check(CASES[name].agreement(name), mean_error=0.012, block_error=0.08)
 
