@@ -94,15 +94,6 @@ def rgb_of(bitmap) -> Optional[np.ndarray]:
     return np.array(main.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False))
 
 
-def _encoded(bitmap, file_format) -> bytes:
-    """The bytes of a file. Mitsuba itself writes half of one on a full disk, and does not say so."""
-    import mitsuba as mi
-
-    stream = mi.MemoryStream()
-    bitmap.write(stream, file_format)
-    return stream.raw_buffer()
-
-
 def write_image(path, image, factor: Optional[float] = None) -> tuple[Path, Optional[Path]]:
     """Write ``image`` to ``path`` (EXR, all channels with their names) and a PNG beside it.
 
@@ -117,10 +108,10 @@ def write_image(path, image, factor: Optional[float] = None) -> tuple[Path, Opti
     path = target(path)
     bitmap = image if isinstance(image, mi.Bitmap) else mi.Bitmap(np.asarray(image, dtype=np.float32))
     rgb = rgb_of(bitmap)
-    write_file(path, lambda unfinished: unfinished.write_bytes(_encoded(bitmap, mi.Bitmap.FileFormat.OpenEXR)))
+    write_file(path, lambda unfinished: bitmap.write(str(unfinished)))
     if rgb is None:
         return path, None
     png = path.with_suffix(".png")
     shown = mi.Bitmap(tone_map(rgb, factor))
-    write_file(png, lambda unfinished: unfinished.write_bytes(_encoded(shown, mi.Bitmap.FileFormat.PNG)))
+    write_file(png, lambda unfinished: shown.write(str(unfinished)))
     return path, png

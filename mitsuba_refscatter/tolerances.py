@@ -2,7 +2,7 @@
 must not be 0 (1e-30)."""
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -187,6 +187,8 @@ class Accuracy:
     interval and per camera segment, of the estimators of these names; ``point_samples`` do not reach the tolerance, the noise is about 0.5 / sqrt(samples).
     ``panels``, ``panel_points``: of the quadrature for light that is not refracted, and ``lobes``: error that it may make of a phase
     function's integral; ``adapts``: whether intervals across which much is absorbed get more.
+    ``samples_visibility``: whether what is lit, and how far, is judged by samples where it can't be proven; ``coarse``: relative error
+    that a coarser mesh may make.
     """
 
     bend: float
@@ -205,60 +207,56 @@ class Accuracy:
     coarse: float = 0.0
 
 
-def accuracy(tolerance):
-    """The counts that are safe for a relative error ``tolerance`` of the image (0: exact to float32)."""
-    if tolerance >= 0.1:
-        return Accuracy(
-            bend=0.5,
-            points=1,
-            newton=0,
-            weight=0.2 * tolerance,
-            linear=1.0,
-            clip=0.05,
-            interval_samples=1,
-            point_samples=8,
-            panels=6,
-            panel_points=2,
-            lobes=1e-2,
-            coarse=0.8 * tolerance,
-            samples_visibility=True,
-        )
-    if tolerance >= 0.01:
-        return Accuracy(
-            bend=0.1,
-            points=1,
-            newton=1,
-            weight=0.1 * tolerance,
-            linear=0.25,
-            clip=0.01,
-            interval_samples=1,
-            point_samples=32,
-            panels=12,
-            panel_points=2,
-            lobes=1e-3,
-            coarse=0.7 * tolerance,
-            samples_visibility=True,
-        )
-    if tolerance >= 0.001:
-        return Accuracy(
-            bend=0.05,
-            points=2,
-            newton=2,
-            weight=1e-2 * tolerance,
-            linear=0.1,
-            clip=0.001,
-            interval_samples=4,
-            point_samples=128,
-            panels=24,
-            panel_points=2,
-            lobes=1e-4,
-            coarse=0.7 * tolerance,
-        )
-    return Accuracy(
+TIERS = {
+    0.1: Accuracy(
+        bend=0.5,
+        points=1,
+        newton=0,
+        weight=0.2,
+        linear=1.0,
+        clip=0.05,
+        interval_samples=1,
+        point_samples=8,
+        panels=6,
+        panel_points=2,
+        lobes=1e-2,
+        coarse=0.8,
+        samples_visibility=True,
+    ),
+    0.01: Accuracy(
+        bend=0.1,
+        points=1,
+        newton=1,
+        weight=0.1,
+        linear=0.25,
+        clip=0.01,
+        interval_samples=1,
+        point_samples=32,
+        panels=12,
+        panel_points=2,
+        lobes=1e-3,
+        coarse=0.7,
+        samples_visibility=True,
+    ),
+    0.001: Accuracy(
+        bend=0.05,
+        points=2,
+        newton=2,
+        weight=1e-2,
+        linear=0.1,
+        clip=0.001,
+        interval_samples=4,
+        point_samples=128,
+        panels=24,
+        panel_points=2,
+        lobes=1e-4,
+        coarse=0.7,
+    ),
+    0.0: Accuracy(
         bend=0.02,
         points=4,
         newton=3,
-        weight=1e-2 * tolerance,
+        weight=1e-2,
         linear=0.05,
         clip=1e-4,
         interval_samples=16,
@@ -266,7 +264,15 @@ def accuracy(tolerance):
         panels=48,
         panel_points=3,
         lobes=1e-5,
-    )
+    ),
+}
+"""What is safe from these tolerances on; ``weight`` and ``coarse`` are shares of the tolerance."""
+
+
+def accuracy(tolerance):
+    """The counts that are safe for a relative error ``tolerance`` of the image (0: exact to float32)."""
+    tier = next(tier for least, tier in TIERS.items() if tolerance >= least)
+    return replace(tier, weight=tier.weight * tolerance, coarse=tier.coarse * tolerance)
 
 
 @functools.cache

@@ -2,6 +2,8 @@
 
 import mitsuba as mi
 import numpy as np
+import pytest
+from meshes import Mesh
 
 SIGMA_T = (0.4, 0.7, 1.0)
 ALBEDO = (0.95, 0.7, 0.25)
@@ -47,11 +49,26 @@ def rounded(x):
     return np.asarray(x, np.float32).astype(float)
 
 
+def rounded_mesh(mesh):
+    """The mesh with coordinates that float32 holds exactly."""
+    return Mesh(rounded(mesh.vertices), mesh.faces, None if mesh.normals is None else rounded(mesh.normals))
+
+
+def rays_towards(origin, targets):
+    """Rays from ``origin`` to targets (n, 3)."""
+    d = np.asarray(targets) - np.asarray(origin)
+    d = rounded(d / np.linalg.norm(d, axis=1, keepdims=True))
+    return rounded(np.tile(origin, (len(d), 1))), d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+def slow_ones(names, slow):
+    """Parameters of a test, of which these run in ``make test-all`` alone."""
+    return [pytest.param(name, marks=pytest.mark.slow) if name in slow else name for name in names]
+
+
 def rays_at(origin, radius, n, seed):
     """n rays from ``origin`` to random points of the ball of ``radius`` about 0."""
     rng = np.random.default_rng(seed)
     target = rng.normal(size=(n, 3))
     target *= (radius * rng.random((n, 1)) ** (1 / 3)) / np.linalg.norm(target, axis=1, keepdims=True)
-    d = target - np.asarray(origin)
-    d = rounded(d / np.linalg.norm(d, axis=1, keepdims=True))
-    return rounded(np.tile(origin, (n, 1))), d / np.linalg.norm(d, axis=1, keepdims=True)
+    return rays_towards(origin, target)

@@ -5,22 +5,8 @@ import numpy as np
 from meshes import Mesh, bumpy_sphere, icosphere
 
 
-def exact(mesh):
-    """The mesh with coordinates that float32 holds exactly."""
-    normals = None if mesh.normals is None else build.rounded(mesh.normals)
-    return Mesh(build.rounded(mesh.vertices), mesh.faces, normals)
-
-
 def bumps(level):
     return bumpy_sphere(level, 0.06, 6.0)
-
-
-def towards(origin, *targets):
-    """Rays o, d from an origin to targets, as float32 holds them."""
-    o = np.tile(origin, (len(targets), 1)).astype(float)
-    d = np.array(targets) - o
-    d = build.rounded(d / np.linalg.norm(d, axis=1, keepdims=True))
-    return build.rounded(o), d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
 def edges(mesh):
@@ -39,7 +25,7 @@ def grazing(origin, angle):
     up = np.cross(axis, side)
     theta, phi = np.arcsin(1 / far) - angle, np.linspace(0, 2 * np.pi, 40, endpoint=False)[:, None]
     d = np.cos(theta) * axis + np.sin(theta) * (np.cos(phi) * side + np.sin(phi) * up)
-    return towards(origin, *(origin + far * d))
+    return build.rays_towards(origin, origin + far * d)
 
 
 def needles(width):

@@ -12,10 +12,6 @@ from meshes import Mesh, bumpy_sphere, icosphere
 LIGHT, CAMERA = (-2.6, 2.4, -0.9), (0.0, 1.1, 5.2)
 
 
-def float32_mesh(mesh):
-    return Mesh(build.rounded(mesh.vertices), mesh.faces, None if mesh.normals is None else build.rounded(mesh.normals))
-
-
 def body_of(mesh, eta=1.5, g=0.0):
     sigma_t = np.array(build.SIGMA_T)
     return oracle.Body(mesh, eta, sigma_t * build.ALBEDO, sigma_t, g)
@@ -51,7 +47,7 @@ def test_no_refraction(rgb, tmp_path, g):
 
     At a tolerance below the 1e-3 asked for; what remains is float32 and the ends of the shadow rays.
     """
-    mesh = float32_mesh(bumpy_sphere(4, 0.06, 6.0))
+    mesh = build.rounded_mesh(bumpy_sphere(4, 0.06, 6.0))
     shape = build.mesh_shape(mesh, tmp_path / "m.ply", eta=1.0, g=g)
     scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light(LIGHT)})
     o, d = build.rays_at(CAMERA, 0.8, 1000, seed=2)

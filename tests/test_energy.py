@@ -1,14 +1,16 @@
 """Power that enters a body through its lit triangles = absorbed and scattered + leaving + reflected inside.
 
 The first of these is what the estimator finds, summed over a grid of parallel segments through the body; the others are of light
-rays on a grid over the triangles, with optics of their own (NumPy, float64).
+rays on a grid over the triangles, with the oracle's optics.
 """
 
+import build
 import mitsuba as mi
 import numpy as np
+import oracle
 import pytest
-from extremes import bumps, exact
-from meshes import BoxTree, dot, fresnel_reflectance, icosphere, make_patches, norm, unit
+from extremes import bumps
+from meshes import BoxTree, dot, fresnel_reflectance, icosphere, make_patches, take, unit
 from pairs import one_body
 
 from mitsuba_refscatter import wavefront
@@ -20,26 +22,19 @@ PIECE = 0.1
 
 def light_rays(mesh, eta, light, cells):
     """Power that enters along each of many rays, for an intensity of 1; where, whither, and at which triangle."""
-    corners, normals = mesh.corners, mesh.corner_normals(eta)
-    area = make_patches(mesh, eta).area2[:, 0] / 2
-    lit = np.flatnonzero(dot(light - corners[:, 0], mesh.facet_normals)[:, 0] > 0)
+    patches = make_patches(mesh, eta)
+    area, lit = patches.area2[:, 0] / 2, np.flatnonzero(dot(light - mesh.corners[:, 0], mesh.facet_normals)[:, 0] > 0)
     i, j = np.divmod(np.arange(cells * cells), cells)
     u, v = (i + 0.5) / cells, (j + 0.5) / cells
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    bary = np.stack([1 - u - v, u, v], axis=1)
-    triangle = np.repeat(lit, len(bary))
-    point, normal = (np.einsum("kc,ncx->nkx", bary, x[lit]).reshape(-1, 3) for x in (corners, normals))
-    normal, to_light, d_l = unit(normal), unit(light - point), norm(light - point)
-    c_l = dot(to_light, normal)
-    across = (c_l * normal - to_light) / eta
-    c_v = np.sqrt(np.maximum(1 - dot(across, across), 0))
-    omega = across - c_v * normal
-    inwards = -dot(omega, mesh.facet_normals[triangle])
-    power = (1 - fresnel_reflectance(c_l, c_v, eta)) * c_l * inwards / np.maximum(c_v, 1e-9) / d_l**2
-    power = (power * ((c_l > 0) & (c_v > 0) & (inwards > 0)))[:, 0] * area[triangle] / len(bary)
+    triangle, uv = np.repeat(lit, len(u)), np.tile(np.stack([u, v], axis=1), (len(lit), 1))
+    x = oracle.light_ray(take(patches, triangle), uv, light, eta)
+    inwards = -dot(x.omega, mesh.facet_normals[triangle])
+    power = (1 - fresnel_reflectance(x.c_l, x.c_v, eta)) * x.c_l * inwards / np.maximum(x.c_v, 1e-9) / x.d_l**2
+    power = (power * ((x.c_l > 0) & (x.radicand > 0) & (inwards > 0)))[:, 0] * area[triangle] / len(u)
     tree = BoxTree([mesh])
-    seen = (power > 0) & tree.clear(point, np.broadcast_to(light, point.shape), triangle)
-    return power[seen], point[seen], omega[seen], triangle[seen]
+    seen = (power > 0) & tree.clear(x.point, np.broadcast_to(light, x.point.shape), triangle)
+    return power[seen], x.point[seen], x.omega[seen], triangle[seen]
 
 
 def segments_through(mesh, direction):
@@ -68,7 +63,7 @@ def segments_through(mesh, direction):
     pytest.param(bumps(3), 1.3, 2.0, marks=pytest.mark.slow), (bumps(3), 0.8, 0.5),
 ], ids=["ball", "bumps", "dense bumps", "bubble"])  # fmt: skip
 def test_power(rgb, tmp_path, mesh, eta, sigma_t):
-    mesh, light = exact(mesh), np.array([-2.6, 2.4, -0.9])
+    mesh, light = build.rounded_mesh(mesh), np.array([-2.6, 2.4, -0.9])
     power, point, omega, triangle = light_rays(mesh, eta, light, 24)
     ray, _, s, _, _ = BoxTree([mesh]).closest(point, omega, triangle)
     length = np.zeros(len(power))

@@ -9,7 +9,7 @@ import pytest
 import references
 from against_volpath import colour, glass, to
 from meshes import Mesh, box, bumpy_sphere
-from test_accuracy import body_of, float32_mesh
+from test_accuracy import body_of
 
 pytestmark = pytest.mark.usefixtures("rgb")
 
@@ -61,7 +61,7 @@ def kept(name, bodies, light, o, d, bounces):
 @pytest.mark.parametrize("eta", [1.5, 0.8])
 def test_spot(tmp_path, eta):
     """A spot that lights a part of a bumpy body, its rim soft, against the oracle."""
-    mesh, origin = float32_mesh(bumpy_sphere(2)), (-2.6, 2.4, -0.9)
+    mesh, origin = build.rounded_mesh(bumpy_sphere(2)), (-2.6, 2.4, -0.9)
     lamp, intensity = spot(origin, (0.1, 0.2, 0.1), 6.0, 14.0)
     shape = build.mesh_shape(mesh, tmp_path / "m.ply", eta=eta)
     o, d = build.rays_at(CAMERA, 0.6, 100, seed=6)
@@ -77,7 +77,10 @@ def test_spot(tmp_path, eta):
 @pytest.mark.parametrize("eta", [1.5, 0.8])
 def test_directional(tmp_path, eta):
     """A light in one direction is, for the oracle, a point at a distance of 10,000,000."""
-    mesh, to_light = float32_mesh(bumpy_sphere(2)), np.array([-0.6, 0.7, -0.3]) / np.linalg.norm([-0.6, 0.7, -0.3])
+    mesh, to_light = (
+        build.rounded_mesh(bumpy_sphere(2)),
+        np.array([-0.6, 0.7, -0.3]) / np.linalg.norm([-0.6, 0.7, -0.3]),
+    )
     sun = {"type": "directional", "direction": list(-to_light), "irradiance": colour(2, 2, 2)}
     shape = build.mesh_shape(mesh, tmp_path / "m.ply", eta=eta)
     o, d = build.rays_at(CAMERA, 0.8, 100, seed=7)
@@ -123,7 +126,7 @@ def test_airlight(g):
 @pytest.mark.parametrize("bsdf", ["null", "dielectric"])
 def test_light_in_an_index_matched_body(tmp_path, bsdf):
     """What a null boundary and a dielectric of index 1 around a light do: they end the medium."""
-    mesh, light = float32_mesh(box([-0.9, -0.8, -1], [0.9, 0.8, 1])), np.array([0.2, 0.3, -0.1])
+    mesh, light = build.rounded_mesh(box([-0.9, -0.8, -1], [0.9, 0.8, 1])), np.array([0.2, 0.3, -0.1])
     shape = build.mesh_shape(mesh, tmp_path / "m.ply", eta=1.0, g=0.5)
     if bsdf == "null":
         shape["bsdf"] = {"type": "null"}
@@ -168,7 +171,7 @@ def test_under_water(eta):
 def test_a_hole_is_an_open_surface(tmp_path):
     """A closed body with some triangles missing, on the side that is neither lit nor seen: nothing else changes, as rays
     end there. On the lit side, light that would come through the missing triangles is missing."""
-    mesh = float32_mesh(bumpy_sphere(2))
+    mesh = build.rounded_mesh(bumpy_sphere(2))
     centre = mesh.corners.mean(axis=1)
     light, o, d = (0.0, 4.0, 3.0), *build.rays_at(CAMERA, 0.5, 200, seed=10)
 
@@ -191,7 +194,7 @@ def test_a_hole_is_an_open_surface(tmp_path):
 def test_inside_is_what_a_body_encloses(tmp_path, change):
     """A mirrored transform turns the triangles' winding, and ``flip_normals`` the normals: the image is that of the same
     body given as it is."""
-    mesh, light = float32_mesh(bumpy_sphere(2)), (-2.6, 2.4, -0.9)
+    mesh, light = build.rounded_mesh(bumpy_sphere(2)), (-2.6, 2.4, -0.9)
     o, d = build.rays_at(CAMERA, 0.8, 100, seed=11)
     mirrored = change != "flipped"
     given = Mesh(mesh.vertices * [-1, 1, 1], mesh.faces[:, ::-1], mesh.normals * [-1, 1, 1]) if mirrored else mesh
@@ -230,13 +233,13 @@ def test_bodies_that_touch(tmp_path):
 
 def test_hollow_shell(tmp_path):
     """A glass sphere with a spherical cavity, one mesh of two parts, against the oracle."""
-    outer, inner = float32_mesh(bumpy_sphere(2)), float32_mesh(bumpy_sphere(1))
+    outer, inner = build.rounded_mesh(bumpy_sphere(2)), build.rounded_mesh(bumpy_sphere(1))
     count = len(outer.vertices)
     shell = Mesh(
         np.concatenate([outer.vertices, 0.5 * inner.vertices]), np.concatenate([outer.faces, count + inner.faces[:, ::-1]]),
         np.concatenate([outer.normals, -inner.normals]),
     )  # fmt: skip
-    shell = float32_mesh(shell)
+    shell = build.rounded_mesh(shell)
     light, (o, d) = (-2.6, 2.4, -0.9), build.rays_at(CAMERA, 0.9, 150, seed=13)
     shape = build.mesh_shape(shell, tmp_path / "m.ply", eta=1.3)
     scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light(light)})

@@ -102,9 +102,7 @@ LIGHTS = {
 LONG = ("disk", "sky")
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in LIGHTS]
-)
+@pytest.mark.parametrize("name", build.slow_ones(LIGHTS, LONG))
 def test_lights(tmp_path, name):
     """Every kind of light sends photons; several at once share them. Of ours as many runs as its light points need."""
     scene = load(tmp_path, **LIGHTS[name]())

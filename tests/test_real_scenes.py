@@ -4,6 +4,7 @@ One scene each. ``volpath`` connects lights through null and thindielectric boun
 only finds those that are large. Spots and directional lights behind refraction: test_lights.py.
 """
 
+import build
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -220,9 +221,7 @@ LONG = ("boundary open water", "boundary sphere", "light pool through glass", "p
 """Half a minute each, most of it for kernels: of a kind that others are of, too."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in CASES]
-)
+@pytest.mark.parametrize("name", build.slow_ones(CASES, LONG))
 def test_scene(name):
     check(CASES[name].agreement(name), mean_error=0.012, block_error=0.08)
 

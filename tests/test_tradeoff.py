@@ -45,7 +45,7 @@ def test_every_choice_is_switched():
 def test_with_all_choices_switched_off_the_image_is_the_exact_one(rgb, tmp_path):
     """As at tolerance 0; the tests against closed forms and the oracle hold that to the truth."""
     path, _ = scenes.write_scene("branches", tmp_path, 5120)
-    scene = mi.load_file(str(path), optimize=False, res="32")
+    scene = scenes.load(path, res="32")
 
     def image(tolerance, changes):
         integrator = mi.load_dict(

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from .. import lanes, tolerances, wavefront
+from ..scene import coarse
 
 
 def turns(error):
@@ -21,11 +22,11 @@ def suitable(turns, error, measure):
     exact. ``measure(i, j)``: relative difference that it makes to take mesh i in place of j."""
     at = int(np.argmin(np.abs(np.log(turns[:-1]) - 0.5 * np.log(error / np.sqrt(np.prod(tolerances.TURN_ERROR))))))
     for _ in range(tolerances.COARSE_TRIES):
-        finer = min(at + 4, len(turns) - 1)
+        finer = min(at + coarse.QUARTER, len(turns) - 1)
         found = measure(at, finer) / (1 - (turns[finer] / turns[at]) ** 2)
         wanted = turns[at] * np.sqrt(error / max(found, 1e-6))
         last, at = at, int(np.searchsorted(-np.array(turns[:-1]), -wanted))
-        if at == len(turns) - 1 or abs(at - last) <= 2:
+        if at == len(turns) - 1 or abs(at - last) <= coarse.QUARTER // 2:
             break
     return at
 

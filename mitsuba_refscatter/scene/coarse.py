@@ -17,8 +17,11 @@ FEWEST = 1000
 WORTH = 0.7
 """Share of the triangles that a coarse body may have at most."""
 
-TURNS = 0.85 * 0.5 ** (0.25 * np.arange(40))
-"""Largest differences between normals at the ends of a coarse edge, from the coarsest body on; two steps halve the triangles."""
+QUARTER = 4
+"""Levels from one to that with a quarter of its triangles."""
+
+TURNS = 0.85 * 0.5 ** (np.arange(40) / QUARTER)
+"""Largest differences between normals at the ends of a coarse edge, from the coarsest body on."""
 
 FIRST_TURN = 2.0
 """The least of them, relative to that of the fine edges: less is not worth it."""
