@@ -20,7 +20,8 @@ from .scene import NONE, holds, refusal
 @dataclass
 class Legs:
     """Rays on their way (world coordinates): origin, direction, weight, camera sample, region around (or
-    NONE), and numbers of internal reflections and of hits from outside so far."""
+    NONE), numbers of internal reflections and of hits from outside so far; and, since the origin is off the boundary and rounded, the way
+    ``back`` to the point where the leg starts, and how much longer it is (``behind``)."""
 
     o: object
     d: object
@@ -29,6 +30,8 @@ class Legs:
     region: object
     reflections: object
     entries: object
+    back: object
+    behind: object
 
     def map(self, f):
         return Legs(*(f(x) for x in self.__dict__.values()))
@@ -44,7 +47,7 @@ class Legs:
 class Paths:
     """What a set of camera rays meets.
 
-    ``segments``: a list, per region, of ``(o, d, t_max, weight, sample)`` in world coordinates;
+    ``segments``: a list, per region, of ``(o, back, d, t_max, weight, sample)``: from o + back on, o in world coordinates;
     ``ends``: ``Legs`` that reach a plain surface or escape (their weight includes the way there);
     ``direct``: whether the first of these are the camera rays that meet no boundary or mirror; ``hit``: per camera ray, whether
     it hits anything.
@@ -64,6 +67,7 @@ def trace(scene, ray, active, start, internal_bounces, surfaces, min_weight):
     legs = Legs(
         mi.Point3f(ray.o) + dr.zeros(mi.Point3f, n), ray.d, mi.Spectrum(1) + dr.zeros(mi.Spectrum, n),
         dr.arange(mi.UInt32, n), dr.opaque(mi.UInt32, start, n), dr.zeros(mi.UInt32, n), dr.zeros(mi.UInt32, n),
+        dr.zeros(mi.Vector3f, n), dr.zeros(mi.Float, n),
     )  # fmt: skip
     if not isinstance(active, bool) or not active:
         legs = legs.gather(dr.compress(mi.Bool(active) & dr.full(mi.Bool, True, n)))
@@ -158,7 +162,7 @@ def _record(scene, legs, hit, length, paths):
             if dr.width(kept) > 0:
                 s, t = legs.gather(kept), dr.gather(mi.Float, length, kept)
                 t = dr.minimum(t, dr.opaque(mi.Float, region.reach)) if region.reach else t
-                paths.segments[region.index].append((s.o, s.d, t, s.weight, s.sample))
+                paths.segments[region.index].append((s.o, s.back, s.d, t + s.behind, s.weight, s.sample))
 
 
 def _split(
@@ -170,7 +174,7 @@ def _split(
     eta = dr.select(active, dr.gather(mi.Float, scene.eta, target, active), 1)
     inside, outside = (dr.gather(mi.UInt32, table, target, active) for table in (scene.inside, scene.outside))
     n = tri.normal(pi.prim_uv.x, pi.prim_uv.y)
-    P = centre + tri.position(pi.prim_uv.x, pi.prim_uv.y)
+    P = tri.position(pi.prim_uv.x, pi.prim_uv.y)
     # As in Mitsuba the shading normal says from which side light is refracted, the facet where the ray then is.
     from_outside = dr.dot(legs.d, n) < 0
     n = dr.select(from_outside, n, -n)
@@ -202,9 +206,11 @@ def _split(
             goes_on &= reflections <= internal_bounces
         if not surfaces:
             goes_on &= goes_in | mi.Bool(again)
-        origin = P + tri.Ng * dr.copysign(tolerances.CAMERA_OFFSET * extent, side)
+        offset = tolerances.CAMERA_OFFSET * extent
+        origin = centre + (P + tri.Ng * dr.copysign(offset, side))
+        back, behind = P - (origin - centre), offset / dr.maximum(dr.abs(side), tolerances.GRAZING)
         legs_on = Legs(mi.Point3f(origin), mi.Vector3f(d), weight, legs.sample, dr.select(goes_in, inside, outside),
-                       reflections if mirrored else legs.reflections, entries)  # fmt: skip
+                       reflections if mirrored else legs.reflections, entries, mi.Vector3f(back), behind)  # fmt: skip
         kept = dr.compress(goes_on)
         if dr.width(kept) > 0:
             out.append(legs_on.gather(kept))
@@ -233,8 +239,10 @@ def _reflected(scene, legs, ray, pi, mirror, internal_bounces, min_weight, first
     d = si.to_world(drawn.wo)
     legs.weight = legs.weight * value
     legs.entries = legs.entries + mi.UInt32(0 if first else 1)
-    side = dr.copysign(scene.mirror_extent(pi.shape) * tolerances.CAMERA_OFFSET, dr.dot(d, si.n))
-    legs.o, legs.d = mi.Point3f(si.p + si.n * side), mi.Vector3f(d)
+    along = dr.dot(d, si.n)
+    offset = scene.mirror_extent(pi.shape) * tolerances.CAMERA_OFFSET
+    side, legs.behind = dr.copysign(offset, along), offset / dr.maximum(dr.abs(along), tolerances.GRAZING)
+    legs.o, legs.d, legs.back = mi.Point3f(si.p + si.n * side), mi.Vector3f(d), -mi.Vector3f(si.n) * side
     dr.eval(legs)  # the mirrors are asked once
     kept = dr.compress(dr.max(legs.weight) > min_weight)
     return [legs.gather(kept)] if dr.width(kept) > 0 else []

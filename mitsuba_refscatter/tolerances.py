@@ -17,7 +17,7 @@ CAMERA_OFFSET = 2e-6
 """Relative to the body's largest coordinate: how far camera legs start off a boundary."""
 
 OPAQUE = 20.0
-"""Optical depth behind which nothing is seen of a medium without end: 2e-9 of the light is left."""
+"""Optical depth behind which nothing is seen of a medium: 2e-9 of the light is left."""
 
 ENDLESS = 1e30
 """Length of a camera leg that meets nothing."""
@@ -70,7 +70,7 @@ CUT = 8
 """Parts into which the curve in a beam is cut where it is too complicated."""
 
 SHORTEST = 1.5 / CUT**3
-"""Length relative to the curve in one beam below which a part is not cut again."""
+"""Length relative to the curve in one beam, or to the mean free path where that is shorter, below which a part is not cut again."""
 
 NEAR = 0.2
 """Largest edge of a beam's triangle relative to its distance from the light: the light's 1/d^2 is then good to 1e-3."""
@@ -139,7 +139,7 @@ FOLD_STEPS = 4
 PIECES = 1 << 21
 """Most parts of beams that are looked at in one kernel."""
 
-TURN_ERROR = 0.1, 6.0
+TURN_ERROR = 0.02, 2.0
 """The least and the largest error of an image by a coarse mesh, per square of the turn of its normals along edges, that are
 reckoned with."""
 
@@ -183,7 +183,7 @@ class Accuracy:
     inside a beam, relative to its change there.
     ``bend``: largest deviation of a light beam from a linear one, relative to its width; beams that are
     bent more are subdivided. ``points``: Gauss points along the curve in one beam. ``newton``: Newton
-    steps per point. ``weight``: camera legs with a smaller weight are dropped. ``interval_samples``, ``point_samples``: per
+    steps per point, on patches 1 at least. ``weight``: camera legs with a smaller weight are dropped. ``interval_samples``, ``point_samples``: per
     interval and per camera segment, of the estimators of these names; ``point_samples`` do not reach the tolerance, the noise is about 0.5 / sqrt(samples).
     ``panels``, ``panel_points``: of the quadrature for light that is not refracted, and ``lobes``: error that it may make of a phase
     function's integral; ``adapts``: whether intervals across which much is absorbed get more.

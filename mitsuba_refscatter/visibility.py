@@ -74,7 +74,10 @@ class Shadows:
         light, distant = self._light_in_world(), self.light.distant
         edges = [
             silhouette.silhouette_edges(b.corners, b.normals, b.twin, light, distant)
-            for b in (self.body, *(b for b in self.scene.bodies if b.shape is not self.body.shape))
+            for b in (
+                self.body.stands_for or self.body,
+                *(b for b in self.scene.bodies if b.shape is not self.body.shape),
+            )
         ]
         uniform = self._uniform(corners, np.concatenate(edges), triangles, light)
         for shape in self.others:

@@ -92,10 +92,10 @@ LARGE = 300
 @pytest.mark.parametrize(("estimator", "culling"), COMBINATIONS)
 def test_no_kernel_is_made_anew(rgb, scene_at, estimator, culling):
     """Light and camera move, and with them the numbers of segments and pairs: after a few frames all large kernels are
-    known."""
+    known, those for the rare curves that must be cut among them."""
     scene = scene_at()
     parameters, known, large = mi.traverse(scene), set(), []
-    for frame, x in enumerate((0.1, 0.25, 0.5, 0.4, 0.2, 0.3)):
+    for frame, x in enumerate((0.1, 0.25, 0.5, 0.4, 0.2, 0.3, 0.45, 0.15, 0.35, 0.28, 0.12, 0.48)):
         place = [float(p + x) for p in LIGHT]
         parameters["light.position"] = dr.opaque(mi.Point3f, place)
         parameters["sensor.to_world"] = mi.ScalarTransform4f().look_at([x, *CAMERA[1:]], [0, 0.1 * x, 0], [0, 1, 0])
@@ -107,7 +107,7 @@ def test_no_kernel_is_made_anew(rgb, scene_at, estimator, culling):
         new = [k for k in kernels if k["hash"] not in known and k["operation_count"] > LARGE]
         large += [k["operation_count"] for k in kernels if k["operation_count"] > LARGE]
         known |= {k["hash"] for k in kernels}
-        assert frame < 3 or not new, [(k["operation_count"], k["size"]) for k in new]
+        assert frame < 6 or not new, [(k["operation_count"], k["size"]) for k in new]
     assert len(large) > 10
 
 

@@ -16,6 +16,8 @@ from .scaling import clock
 TOLERANCES = (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)
 DEFAULT = 0.01
 REFERENCE = 0.0
+IN_ROW = 3
+"""Panels side by side: readable at 1280 pixels."""
 CHOICES = {
     "mesh": ("coarse",),
     "visibility": ("samples_visibility",),
@@ -109,10 +111,14 @@ def plot(rows, path):
     from matplotlib import pyplot
 
     names = list(dict.fromkeys(row["scene"] for row in rows))
+    across = min(len(names), IN_ROW)
+    down = -(-len(names) // across)
     figure, panels = pyplot.subplots(
-        1, len(names), figsize=(6.4 * len(names), 4.8), squeeze=False, layout="constrained"
+        down, across, figsize=(6.4 * across, 4.8 * down), squeeze=False, layout="constrained"
     )
-    for name, panel in zip(names, panels[0]):
+    for panel in panels.flat[len(names) :]:
+        panel.remove()
+    for name, panel in zip(names, panels.flat):
         own = [row for row in rows if row["scene"] == name]
         line = [row for row in own if not row["switched"]]
         panel.loglog(*zip(*((row["wall_seconds"], row["mean_relative_error"]) for row in line)), "o-", color="C0")

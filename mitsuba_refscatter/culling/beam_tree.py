@@ -106,14 +106,16 @@ def _leaf_bounds(records, count, depth, body):
     for j in range(bvh.LEAF):
         x = triangle.gather_numbers(records, dr.minimum(first + j, last), beam.BEAM)
         piece = beam.unpack(x)
-        item = _beam_bounds(piece.P, piece.omega, piece.bend, body)
+        item = _beam_bounds(piece, body)
         item.count = dr.select((first + j <= last) & (piece.twist >= 0), item.count, 0)
         bounds = item.fields() if bounds is None else merge(bounds, item.fields())
     return bounds
 
 
-def _beam_bounds(P, omega, bend, body):
-    """Bounds of single beams: the linear model is exact at the corners, ``bend`` bounds what is left in between."""
+def _beam_bounds(piece, body):
+    """Bounds of single beams: the linear model is exact at the corners, ``bend`` bounds what is left in between, and
+    ``twist`` how far curved ones are from their plane triangles."""
+    P, omega, bend = piece.P, piece.omega, piece.bend
     e1, e2 = P[1] - P[0], P[2] - P[0]
     n = dr.cross(e1, e2)
     area2 = dr.squared_norm(n)
@@ -122,10 +124,14 @@ def _beam_bounds(P, omega, bend, body):
     b1, b2 = (dr.select(fine, x / dr.select(fine, area2, 1), 0) for x in (dr.cross(e2, n), dr.cross(n, e1)))
     w1, w2 = omega[1] - omega[0], omega[2] - omega[0]
     columns = [w1 * b1[k] + w2 * b2[k] for k in range(3)]
-    P_low, P_high = _hull(P)
+    sag, model = 0, bend
+    if body.sag > 0:
+        sag = piece.twist  # at least how far it is curved
+        model = model + sag * dr.sqrt(sum(dr.squared_norm(x) for x in columns))
+    P_low, P_high = _hull(P, sag)
     c = 0.5 * (P_low + P_high)
-    rest_low, rest_high = _hull([w - _times(columns, p - c) for p, w in zip(P, omega)], bend)
-    return Bounds(P_low, P_high, *columns, rest_low, rest_high, *_beam_box(P, omega, bend, body), mi.Float(1))
+    rest_low, rest_high = _hull([w - _times(columns, p - c) for p, w in zip(P, omega)], model)
+    return Bounds(P_low, P_high, *columns, rest_low, rest_high, *_beam_box(P, omega, bend, sag, body), mi.Float(1))
 
 
 def _hull(points, pad=0):
@@ -133,7 +139,7 @@ def _hull(points, pad=0):
     return low - pad, high + pad
 
 
-def _beam_box(P, omega, bend, body):
+def _beam_box(P, omega, bend, sag, body):
     """Box of a beam inside the box of its body: from its triangle as far as any of its rays can go.
 
     A ray leaves the body's box at the latest where it passes the wall ahead along any one axis. Rays between the
@@ -141,7 +147,7 @@ def _beam_box(P, omega, bend, body):
     """
     low, high = (dr.opaque(mi.Vector3f, x) for x in (body.box_low, body.box_high))
     reach = dr.norm(high - low)
-    P_low, P_high = _hull(P)
+    P_low, P_high = _hull(P, sag)
     w_low, w_high = _hull(omega, bend)
     for k in range(3):
         up, down = (
@@ -151,7 +157,7 @@ def _beam_box(P, omega, bend, body):
         along = dr.select(w_low[k] > 1e-6, up, dr.select(w_high[k] < -1e-6, down, 1e30))
         reach = dr.minimum(reach, along)
     ends = [p + reach * w for p, w in zip(P, omega)]
-    box_low, box_high = _hull(list(P) + ends, bend * reach)
+    box_low, box_high = _hull(list(P) + ends, bend * reach + sag)
     return dr.maximum(box_low, low), dr.minimum(box_high, high)
 
 

@@ -83,12 +83,14 @@ class Beams:
 def _lit(tri, light):
     """False only if no point of the triangle is lit: the facet turns away, or n . (L - P) < 0 throughout.
 
-    The latter is quadratic in (u, v): the largest of its six Bernstein coefficients bounds it.
+    The latter is a polynomial in (u, v), of which the largest Bernstein coefficient is a bound: these are means of the values for
+    pairs of control points, for plane triangles one pair each.
     """
-    a, n = [light.to(p) for p in tri.corners()], tri.corner_normals()
+    points, n = tri.controls()
+    a = [light.to(p) for p in points]
     top = dr.dot(n[0], a[0])
-    for i in range(3):
-        for j in range(i, 3):
+    for i in range(len(a)):
+        for j in range(i, len(a)):
             top = dr.maximum(top, 0.5 * (dr.dot(n[i], a[j]) + dr.dot(n[j], a[i])))
     return (top > 0) & (dr.dot(tri.Ng, a[0]) > 0)
 

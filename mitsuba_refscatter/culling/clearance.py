@@ -41,11 +41,13 @@ class Clearance:
     def __init__(self, records, first_record, corners):
         self.surface = Surface(records, first_record, corners, lambda tri: [tri.Ng], _pack, NODE)
 
-    def clear(self, tri, piece):
-        """Length to which beams (``beam.Piece``) are certainly free, as the numbers of ``pairs.Reach``."""
+    def clear(self, tri, piece, sag):
+        """Length to which beams (``beam.Piece``) are certainly free, as the numbers of ``pairs.Reach``; ``sag``: how far their light
+        may come in from their plane triangles."""
+        sag = dr.opaque(mi.Float, sag)
         P, omega, bend = piece.P, piece.omega, piece.bend
         axis_P, axis = (P[0] + P[1] + P[2]) / 3, dr.normalize(omega[0] + omega[1] + omega[2])
-        start = dr.maximum(dr.norm(P[0] - axis_P), dr.maximum(dr.norm(P[1] - axis_P), dr.norm(P[2] - axis_P)))
+        start = dr.maximum(dr.norm(P[0] - axis_P), dr.maximum(dr.norm(P[1] - axis_P), dr.norm(P[2] - axis_P))) + sag
         spread = (
             dr.maximum(dr.norm(omega[0] - axis), dr.maximum(dr.norm(omega[1] - axis), dr.norm(omega[2] - axis))) + bend
         )
@@ -57,7 +59,7 @@ class Clearance:
             enter = active & touched & out & (near < best)
             here = enter & at_leaf
             for j in range(bvh.LEAF):
-                best = dr.minimum(best, self._touch(leaf, j, here, P, omega, bend, axis_P, axis, start, spread))
+                best = dr.minimum(best, self._touch(leaf, j, here, P, omega, bend, axis_P, axis, start, spread, sag))
             return enter, best
 
         width = dr.width(P[0].x)
@@ -65,7 +67,7 @@ class Clearance:
         best = dr.select(wide, 0, best)
         return [best, best, best, mi.Float(0), mi.Float(UNKNOWN)]
 
-    def _touch(self, leaf, j, active, P, omega, bend, axis_P, axis, start, spread):
+    def _touch(self, leaf, j, active, P, omega, bend, axis_P, axis, start, spread, sag):
         """Smallest distance at which the beams can leave through the j-th triangle of a leaf, or 1e30."""
         _, tri = self.surface.member(leaf, j, active)
         middle, radius = tri.ball()
@@ -79,6 +81,7 @@ class Clearance:
         plane = mi.Float(1e30)
         for p, c in zip(P, cosines):
             plane = dr.minimum(plane, dr.dot(tri.P0 - p, tri.Ng) / dr.maximum(c, 1e-6))
+        plane -= sag / dr.maximum(flattest, 1e-6)
         plane *= 0.999 - dr.minimum(bend / dr.maximum(flattest, 1e-6), 0.999)
         near = dr.select(flattest > 2 * bend + 1e-3, dr.maximum(near, plane), near)
         return dr.select(active & touched & (steepest + bend > 0), near, 1e30)

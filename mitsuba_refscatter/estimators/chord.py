@@ -86,7 +86,7 @@ def _corner_limits(piece, tri, lighting, segment):
         t_i, s_i = meeting(P, omega, segment)
         t.append(t_i)
         s.append(s_i)
-        facing.append(dr.dot(tri.n0 + tri.n_u * uv.x + tri.n_v * uv.y, lighting.light.to(P)))
+        facing.append(dr.dot(tri.normal_before(uv.x, uv.y), lighting.light.to(P)))
         leaving.append(-dr.dot(omega, tri.Ng))
     limits = [t, [segment.t_max - t_i for t_i in t], s, facing, leaving]
     if lighting.total_reflection:

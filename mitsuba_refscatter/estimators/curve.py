@@ -36,11 +36,12 @@ needs_fine = True
 
 @dataclass
 class _Point:
-    """The quantities of the integrand at one (u, v), and g with its derivative."""
+    """The quantities of the integrand at one (u, v), ``area`` of the surface per (u, v), and g with its derivative."""
 
     u: object
     v: object
     P: object
+    area: object
     n: object
     omega_L: object
     omega: object
@@ -55,7 +56,8 @@ def _evaluate(tri, lighting, segment, u, v, a, b):
     """The light at (u, v), g there and its derivative ``slope`` in the direction (a, b)."""
     P = tri.position(u, v)
     n, d_n = tri.normal_derivative(u, v, a, b)
-    d_P = tri.P_u * a + tri.P_v * b
+    P_u, P_v = tri.tangents(u, v)
+    d_P = P_u * a + P_v * b
     omega_L, d_L = lighting.light.seen_from(P)
     d_omega_L = lighting.light.turn(omega_L, d_L, d_P)
     omega, c_L, c_V = optics.refract_in(omega_L, n, lighting.eta)
@@ -63,7 +65,7 @@ def _evaluate(tri, lighting, segment, u, v, a, b):
     across = dr.cross(P - segment.o, segment.d)
     g = dr.dot(omega, across)
     slope = dr.dot(d_omega, across) + dr.dot(omega, dr.cross(d_P, segment.d))
-    return _Point(u, v, P, n, omega_L, omega, c_L, c_V, d_L, slope, g)
+    return _Point(u, v, P, dr.cross(P_u, P_v), n, omega_L, omega, c_L, c_V, d_L, slope, g)
 
 
 @dataclass
@@ -137,18 +139,25 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     taken = culling.take(pairs, lighting.light)
     tri = taken.tri
     chord, ends = chord_of(taken.piece, tri, lighting, segment)
-    interval = _interval(pairs, chord, ends, tri, lighting, segment, accuracy.newton)
+    newton = max(accuracy.newton, 1) if tri.curved else accuracy.newton
+    interval = _interval(pairs, chord, ends, tri, lighting, segment, newton)
     sigma_t = segments.sigma_t_of(pairs.segment)
     width = dr.maximum(interval.end - interval.start, 0)
     change = dr.abs(interval.path[2]) * width * sigma_t
-    may_cut = chord.active & (True if pairs.tau0 is None else pairs.tau1 - pairs.tau0 > tolerances.SHORTEST)
+    # Where much is absorbed a part is short by its optical depth, and what is behind OPAQUE does not matter.
+    steepest = dr.maximum(dr.max(sigma_t) * dr.abs(interval.path[2]), 1)
+    length = mi.Float(1) if pairs.tau0 is None else pairs.tau1 - pairs.tau0
+    long = True if pairs.tau0 is None else length * steepest > tolerances.SHORTEST
+    nearest = dr.minimum(interval.path_at(interval.start), interval.path_at(interval.end))
+    nearest -= tolerances.MARGIN * dr.abs(interval.path[2]) * length
+    may_cut = chord.active & long & (dr.min(sigma_t) * nearest < tolerances.OPAQUE)
     cut = may_cut & (dr.max(change) > tolerances.DEPTH)
-    slack = dr.opaque(mi.Float, accuracy.clip) * dr.abs(interval.path[2])
-    scale = chord.scale * dr.norm(dr.cross(tri.P_u, tri.P_v)) * width
+    slack = dr.opaque(mi.Float, accuracy.clip) * dr.abs(interval.path[2]) / steepest
+    scale = chord.scale * width
     total, resolved, contributes, is_open = mi.Spectrum(0), mi.Bool(True), mi.Bool(False), mi.Bool(False)
     for tau, weight in zip(*tolerances.gauss(accuracy.points)):
         tau = interval.start + tau * (interval.end - interval.start)
-        point, inverse_slope, solved = _solve(chord, chord.direction(tau), tri, lighting, segment, accuracy.newton)
+        point, inverse_slope, solved = _solve(chord, chord.direction(tau), tri, lighting, segment, newton)
         t, s = meeting(point.P, point.omega, segment)
         cut |= may_cut & interval.unsure & (dr.abs(t + s - interval.path_at(tau)) > slack)
         active = chord.active & ~cut & (width > 0)
@@ -157,7 +166,7 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
         free, undecided = shadow(lighting, point, tri, s, taken, active)
         is_open |= active & undecided
         active &= free
-        value = weight * scale * inverse_slope * _integrand(point, tri, lighting, segment)
+        value = weight * scale * inverse_slope * _integrand(point, lighting, segment)
         value *= dr.exp(-sigma_t * t - lighting.extinction(sigma_t, point.omega, segment.d) * s)
         if accuracy.points == 1:  # the mean of the exponential along the interval, relative to its middle
             value *= _sinhc(0.5 * change)
@@ -171,10 +180,10 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     return is_open, cut
 
 
-def _integrand(point, tri, lighting, segment):
-    """What stands before the attenuation, per area in (u, v) and divided by A2: T |omega . Ng| p / d_L^2, for lights that
+def _integrand(point, lighting, segment):
+    """What stands before the attenuation, per area in (u, v): T A2 |omega . Ng| p / d_L^2, for lights that
     do not send the same into all directions times what they do."""
-    measure = optics.transmission(point.c_L, point.c_V, lighting.eta) * dr.abs(dr.dot(point.omega, tri.Ng))
+    measure = optics.transmission(point.c_L, point.c_V, lighting.eta) * dr.abs(dr.dot(point.omega, point.area))
     arriving = lighting.emitted(point.P, point.omega_L, point.d_L) / dr.square(point.d_L)
     return measure * lighting.phase(point.omega, segment.d) * arriving
 

@@ -28,6 +28,13 @@ def twins(faces):
     return twin
 
 
+def edge_keys(faces, count):
+    """A number for each edge of faces (F, 3), of ``count`` vertices, as in ``twins``, the same in both directions: lower vertex x count +
+    upper vertex."""
+    tail, head = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel()
+    return np.minimum(tail, head) * count + np.maximum(tail, head)
+
+
 def volume(corners):
     """Signed volume enclosed by closed corners (F, 3, 3): positive if the triangles wind outwards."""
     centred = corners - corners.reshape(-1, 3).mean(axis=0)

@@ -1,7 +1,8 @@
-"""A triangle with interpolated normals: ``P(u, v)``, ``n(u, v)`` and their derivatives.
+"""A triangle with interpolated normals: ``P(u, v)``, ``n(u, v)`` and their derivatives; and a curved one, a patch.
 
 Record of a triangle in a flat float array, ``RECORD`` numbers each:
-``P0, P_u, P_v, n0, n_u, n_v`` (3 numbers each) and the unit geometric normal ``Ng``, padded.
+``P0, P_u, P_v, n0, n_u, n_v`` (3 numbers each) and the unit geometric normal ``Ng``, padded. That of a patch, ``PATCH`` numbers: the
+same, and how far P and n are from linear in the middles of the edges, ``D01, D12, D20``.
 """
 
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-RECORD = 24
+RECORD, PATCH = 24, 40
 
 
 @dataclass
@@ -25,8 +26,26 @@ class Triangle:
     n_v: object
     Ng: object
 
+    curved = False
+
     def position(self, u, v):
         return dr.fma(self.P_v, v, dr.fma(self.P_u, u, self.P0))
+
+    def tangents(self, u, v):
+        """Derivatives of the position in u and v."""
+        return self.P_u, self.P_v
+
+    def normal_before(self, u, v):
+        """Interpolated normal of any length."""
+        return dr.fma(self.n_v, v, dr.fma(self.n_u, u, self.n0))
+
+    def normal_slopes(self, u, v):
+        """Derivatives of ``normal_before`` in u and v."""
+        return self.n_u, self.n_v
+
+    def controls(self):
+        """Bezier control points of positions, and of normals: both are inside their hulls."""
+        return self.corners(), self.corner_normals()
 
     def corners(self):
         """Positions of the corners."""
@@ -44,15 +63,62 @@ class Triangle:
 
     def normal(self, u, v):
         """Unit interpolated normal."""
-        return dr.normalize(dr.fma(self.n_v, v, dr.fma(self.n_u, u, self.n0)))
+        return dr.normalize(self.normal_before(u, v))
 
     def normal_derivative(self, u, v, a, b):
         """Unit interpolated normal and its derivative in the direction ``(a, b)`` of the (u, v) plane."""
-        m = dr.fma(self.n_v, v, dr.fma(self.n_u, u, self.n0))
+        m = self.normal_before(u, v)
         r = dr.rsqrt(dr.squared_norm(m))
         n = m * r
-        d_m = self.n_u * a + self.n_v * b
+        m_u, m_v = self.normal_slopes(u, v)
+        d_m = m_u * a + m_v * b
         return n, (d_m - n * dr.dot(n, d_m)) * r
+
+
+@dataclass
+class Patch(Triangle):
+    """A triangle whose positions and normals are quadratic in (u, v), through values given at its corners and the middles of its
+    edges; ``P_u``, ``P_v``, ``n_u``, ``n_v`` and ``Ng`` are those of the plane triangle through the corners. ``P2``, ``n2``: what is
+    to be added to linear values in the middles of the edges 01, 12, 20."""
+
+    P2: list
+    n2: list
+    curved = True
+
+    def position(self, u, v):
+        return _add_quadratic(super().position(u, v), self.P2, u, v)
+
+    def tangents(self, u, v):
+        return _add_slopes(super().tangents(u, v), self.P2, u, v)
+
+    def normal_before(self, u, v):
+        return _add_quadratic(super().normal_before(u, v), self.n2, u, v)
+
+    def normal_slopes(self, u, v):
+        return _add_slopes(super().normal_slopes(u, v), self.n2, u, v)
+
+    def controls(self):
+        return [
+            [*x, *(0.5 * (x[i] + x[(i + 1) % 3]) + 2 * more[i] for i in range(3))]
+            for x, more in ((self.corners(), self.P2), (self.corner_normals(), self.n2))
+        ]
+
+
+def _add_quadratic(linear, middles, u, v):
+    w = 1 - u - v
+    return linear + 4 * (middles[0] * (u * w) + middles[1] * (u * v) + middles[2] * (v * w))
+
+
+def _add_slopes(linear, middles, u, v):
+    a, b, c = middles
+    return (linear[0] + 4 * (a * (1 - 2 * u - v) + (b - c) * v), linear[1] + 4 * ((b - a) * u + c * (1 - u - 2 * v)))  # fmt: skip
+
+
+@dataclass
+class Patches:
+    """Records of patches; in the place of records of triangles."""
+
+    numbers: object
 
 
 def geometric_normal(corners):
@@ -65,18 +131,31 @@ def geometric_normal(corners):
 def pack(corners, normals, Ng):
     """Triangle records (flat float32) from corner positions and outward unit corner normals (F, 3, 3), and
     the outward unit geometric normals (F, 3)."""
-    P0, P1, P2 = corners[:, 0], corners[:, 1], corners[:, 2]
-    n0, n1, n2 = normals[:, 0], normals[:, 1], normals[:, 2]
-    record = np.zeros((len(corners), RECORD), dtype=np.float32)
-    parts = [P0, P1 - P0, P2 - P0, n0, n1 - n0, n2 - n0, Ng]
-    record[:, :21] = np.concatenate(parts, axis=1)
+    return _records(corners, normals, Ng, RECORD).ravel()
+
+
+def pack_patches(corners, normals, Ng, P2, n2):
+    """Records of patches: as ``pack``, with ``P2`` and ``n2`` (F, 3, 3), what is to be added to linear values in the middles of edges."""
+    record = _records(corners, normals, Ng, PATCH)
+    record[:, 21:39] = np.concatenate([P2, n2], axis=1).reshape(len(corners), 18)
     return record.ravel()
 
 
+def _records(corners, normals, Ng, size):
+    P0, P1, P2 = corners[:, 0], corners[:, 1], corners[:, 2]
+    n0, n1, n2 = normals[:, 0], normals[:, 1], normals[:, 2]
+    record = np.zeros((len(corners), size), dtype=np.float32)
+    parts = [P0, P1 - P0, P2 - P0, n0, n1 - n0, n2 - n0, Ng]
+    record[:, :21] = np.concatenate(parts, axis=1)
+    return record
+
+
 def gather(records, index, active=True):
-    """The triangles at ``index`` of the packed ``records``."""
-    x = gather_numbers(records, index, RECORD, active)
-    return Triangle(*(mi.Vector3f(x[i : i + 3]) for i in range(0, 21, 3)))
+    """The triangles at ``index`` of the packed ``records``, or the patches of ``Patches``."""
+    patches = isinstance(records, Patches)
+    x = gather_numbers(records.numbers if patches else records, index, PATCH if patches else RECORD, active)
+    fields = [mi.Vector3f(x[i : i + 3]) for i in range(0, 39 if patches else 21, 3)]
+    return Patch(*fields[:7], fields[7:10], fields[10:]) if patches else Triangle(*fields)
 
 
 def gather_numbers(records, index, count, active=True):

@@ -1,6 +1,7 @@
 """Single scattering of all lights in all regions: which light points, through which boundaries, onto which segments."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import drjit as dr
 import mitsuba as mi
@@ -13,6 +14,7 @@ from ..culling.clearance import Clearance, estimate
 from ..culling.spindle import Spindle
 from ..estimators import curve, interval, point, straight
 from ..estimators.lighting import Lighting, Sums
+from ..geometry import triangle
 from ..scene import coarse, holds, read, region_of_camera
 from ..scene import lights as light_points
 from ..sequence import LIGHT, Sequence
@@ -66,9 +68,9 @@ class Prepared:
 
     def records(self, body):
         """The packed triangles of a body, and maybe others."""
-        if body.apart == 0:
+        if body.stands_for is None:
             return self.scene.records
-        return self.kept.once(lambda: lanes.array(mi.Float, body.packed()), "records", *body.key)
+        return self.kept.once(lambda: triangle.Patches(lanes.array(mi.Float, body.packed())), "records", *body.key)
 
     def instead(self, body, region, light, light_point, stretch, sigma_t):
         """The body, or one with a coarser mesh that refracts the light of a ``light`` as well as the tolerance asks for."""
@@ -82,7 +84,7 @@ class Prepared:
             part = stretch.gather(some)
             segments = part.segments(body.centre, lanes.of(sigma_t, some))
             a, b = (
-                coarseness.radiance(segments, part.weight, *self.lit(levels[k].of(body), region, light_point, part.wavelengths),
+                coarseness.radiance(segments, part.weight, *self.lit(levels[k].of(body, self.scene), region, light_point, part.wavelengths),
                                     self.accuracy, self.estimator)
                 for k in (i, j)
             )  # fmt: skip
@@ -92,7 +94,7 @@ class Prepared:
             return coarseness.suitable([level.turn for level in levels], error, measure)
 
         chosen = 0 if len(levels) == 1 else self.kept.once(choose, "coarse", error, light.index, *body.key)
-        return levels[chosen].of(body)
+        return levels[chosen].of(body, self.scene)
 
     def shadows(self, body, light_point):
         """``visibility.Shadows`` of a light point."""
@@ -129,6 +131,10 @@ class Prepared:
         shadows, culling = make() if key is None else self.once(make, "lit", body.first_record, key, *body.key)
         return self.lighting(body, region, light_point, shadows, wavelengths), culling
 
+    def _clearance(self, body):
+        corners, place = body.corners - body.centre, (body.first_record, *body.key, *self.scene.key)
+        return self.kept.once(lambda: Clearance(self.scene.records, body.first_record, corners), "clearance", *place)
+
     def _culling(self, body, source, shadows):
         records, place = self.records(body), (body.first_record, *body.key, *self.scene.key)
         if self.culling == "spindle":
@@ -137,9 +143,8 @@ class Prepared:
         if shadows.may_prove_inside and self.accuracy.samples_visibility:
             clear = estimate(lambda P, Ng, omega: shadows.reach(P, Ng, omega, None), source)
         elif shadows.may_prove_inside:
-            corners = body.corners - body.centre
-            first = body.first_record
-            clear = self.kept.once(lambda: Clearance(records, first, corners), "clearance", *place).clear
+            clearance = self._clearance(body.stands_for or body)
+            clear = partial(clearance.clear, sag=body.sag)
         order = self.kept.once(lambda: light_beams.order_of(body), "order", *place)
         return light_beams.build(body, records, order, source, self.accuracy.bend, shadows.seen, clear)
 
@@ -184,9 +189,11 @@ def turns(prepared, n, wavelengths, batch):
 
 @dataclass
 class Stretch:
-    """Camera segments of one region (world coordinates), with what comes before and after them on the way."""
+    """Camera segments of one region, with what comes before and after them on the way. They start at ``o`` (world coordinates) +
+    ``back``."""
 
     o: object
+    back: object
     d: object
     t_max: object
     weight: object
@@ -195,7 +202,7 @@ class Stretch:
 
     def gather(self, index):
         wavelengths = lanes.of(self.wavelengths, index)
-        fields = (lanes.gather(x, index) for x in (self.o, self.d, self.t_max, self.weight, self.sample))
+        fields = (lanes.gather(x, index) for x in (self.o, self.back, self.d, self.t_max, self.weight, self.sample))
         return Stretch(*fields, wavelengths)
 
     def taking(self, turn):
@@ -213,13 +220,14 @@ class Stretch:
         return stretch, turn.point.of(slot), lanes.of(turn.value, slot)
 
     def segments(self, centre, sigma_t):
-        return Segments(self.o - mi.Point3f(dr.opaque(mi.Point3f, centre)), self.d, self.t_max, sigma_t)
+        o = self.o - mi.Point3f(dr.opaque(mi.Point3f, centre)) + self.back
+        return Segments(mi.Point3f(o), self.d, self.t_max, sigma_t)
 
 
 def stretch_of(paths, region, ray):
     """``Stretch`` of all segments in a region."""
-    o, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[region.index]))
-    return Stretch(o, d, t_max, weight, sample, lanes.of(ray.wavelengths, sample))
+    o, back, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[region.index]))
+    return Stretch(o, back, d, t_max, weight, sample, lanes.of(ray.wavelengths, sample))
 
 
 def scatter(prepared, paths, ray, n, batch, seed, detail, progress, refracted=True):

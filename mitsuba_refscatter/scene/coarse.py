@@ -1,21 +1,25 @@
 """Coarser meshes in place of a body's own, where light that is refracted by them is as good.
 
-A coarse body's corners are some of the fine one's, with their normals. Only what refracts light is replaced: camera rays and
+A coarse body's corners are some of the fine one's, with their normals. Its triangles are patches, quadratic, through the fine body and
+its normals in the middles of edges as well. Only what refracts light is replaced: camera rays and
 shadow rays meet the body itself.
 """
 
 from dataclasses import dataclass, replace
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
+from .. import lanes
 from ..geometry import decimation, triangle
 from ..geometry import mesh as mesh_facts
 
 FEWEST = 1000
 """Triangles below which a body is taken as it is."""
 
-WORTH = 0.7
-"""Share of the triangles that a coarse body may have at most."""
+WORTH = 0.2
+"""Share of the triangles that a coarse body may have at most: a patch costs several times what a triangle does."""
 
 QUARTER = 4
 """Levels from one to that with a quarter of its triangles."""
@@ -29,17 +33,85 @@ FIRST_TURN = 2.0
 LONGEST = 0.125
 """Longest coarse edge relative to the body's size."""
 
+FAR = 1.0
+"""How far from a coarse edge the boundary is looked for, relative to the edge and half the turn along it: four times as far as
+a circle would be."""
+
+SLIP = 1e-3
+"""How far aside of where it slipped through the boundary a ray is sent, relative to the edge."""
+
 
 @dataclass
 class Level:
-    """A mesh that may stand for a body's: ``turn`` of the normals along its edges; what it has of its own (fields of ``Body``)."""
+    """A mesh that may stand for a body's: ``turn`` of the normals along its edges; ``faces``: of ``vertices`` and their ``normals``, or
+    None where it is the body's own."""
 
     turn: float
     triangles: int
-    fields: dict
+    faces: object = None
+    vertices: object = None
+    normals: object = None
+    made: object = None
 
-    def of(self, body):
-        return replace(body, **self.fields)
+    def of(self, body, scene):
+        """``body`` with this mesh, of patches that go through the boundary in the middles of their edges, too."""
+        if self.faces is None:
+            return body
+        self.made = self.made or self._fields(body, scene)
+        return replace(body, **self.made)
+
+    def _fields(self, body, scene):
+        corners, corner_normals = self.vertices[self.faces], self.normals[self.faces]
+        key, numbers = np.unique(mesh_facts.edge_keys(self.faces, len(self.vertices)), return_inverse=True)
+        ends = np.stack(np.divmod(key, len(self.vertices)), axis=1)
+        P, n = (x[ends] for x in (self.vertices, self.normals))
+        more_P, more_n, found = _bulge(scene, body, P, n)
+        bulge = np.stack([more_P, more_n], axis=1)[numbers.reshape(-1, 3)]
+        # A patch is furthest from its boundary near the middle, where the values of its edges' middles count 4/9.
+        off, _, seen = _bulge(scene, body, corners, corner_normals)
+        axis = corner_normals.mean(axis=1)
+        off = np.einsum(
+            "fi,fi->f", off - 4 / 9 * bulge[:, :, 0].sum(axis=1), axis / np.linalg.norm(axis, axis=1, keepdims=True)
+        )
+        return {
+            "corners": corners, "normals": triangle.geometric_normal(corners), "corner_normals": corner_normals,
+            "twin": mesh_facts.twins(mesh_facts.weld(self.vertices, self.faces)), "first_record": 0, "stands_for": body,
+            "bulge": bulge.transpose(0, 2, 1, 3), "sag": float(4 / 3 * np.linalg.norm(more_P, axis=1).max()),
+            "apart": float(np.abs(off[seen]).max(initial=0.0)), "key": ("coarse", len(self.faces), *body.key),
+        }  # fmt: skip
+
+
+def _bulge(scene, body, P, n):
+    """How far a body's boundary and its normal are from the means of points ``P`` (N, k, 3) on it and of their normals ``n``, along the
+    mean normal; 0 where it isn't met there; and whether it is."""
+    middle, axis = P.mean(axis=1), n.mean(axis=1)
+    size = np.linalg.norm(P[:, 0] - P[:, 1], axis=1)
+    reach = FAR * size * np.linalg.norm(n - axis[:, None], axis=2).max(axis=1) + SLIP * size
+    direction = -axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    start = middle - reach[:, None] * direction
+    at, normal, found = _meet(scene, body, start, direction, 2 * reach)
+    missed = np.flatnonzero(~found)
+    if len(missed) > 0:  # rays slip through edges
+        along = P[missed, 0] - middle[missed]
+        aside = start[missed] + SLIP * (along + np.cross(along, direction[missed]))
+        at[missed], normal[missed], found[missed] = _meet(scene, body, aside, direction[missed], 2 * reach[missed])
+    return *(np.where(found[:, None], x, 0.0) for x in (at - middle, normal - axis)), found
+
+
+def _meet(scene, body, o, d, length):
+    """Where rays meet a body's boundary, its normal there against them, and whether they do (NumPy)."""
+    origin, direction = ([lanes.array(mi.Float, x) for x in xyz.T] for xyz in (o, d))
+    ray = mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction))
+    ray.maxt = lanes.array(mi.Float, length)
+    hit = scene.mi_scene.ray_intersect_preliminary(ray)
+    found = hit.is_valid() & (scene.find(hit.shape) == body.index)
+    first = dr.opaque(mi.UInt32, scene.bodies[body.index].first_record)
+    tri = triangle.gather(scene.records, dr.select(found, first + hit.prim_index, 0), found)
+    u, v = hit.prim_uv
+    at, normal = tri.position(u, v), tri.normal(u, v)
+    normal = dr.select(dr.dot(normal, ray.d) > 0, -normal, normal)
+    dr.eval(at, normal, found)
+    return at.numpy().T + np.array(body.centre), normal.numpy().T, found.numpy().copy()
 
 
 def levels(body, least_turn, most_turn):
@@ -47,7 +119,7 @@ def levels(body, least_turn, most_turn):
     ``least_turn`` to ``most_turn``. Only the last where normals are those of the facets."""
     turn = np.linalg.norm(body.corner_normals[:, 0] - body.corner_normals[:, 1], axis=1)
     least = float(np.median(turn))
-    own = [Level(least, body.triangle_count, {})]
+    own = [Level(least, body.triangle_count)]
     turns = [turn for turn in TURNS[::-1] if max(FIRST_TURN * least, least_turn) <= turn <= most_turn]
     if body.faces is None or body.triangle_count < FEWEST or not turns:
         return own
@@ -60,19 +132,8 @@ def levels(body, least_turn, most_turn):
     vertices, normals = (np.zeros((faces.max() + 1, 3)) for _ in range(2))
     vertices[body.faces], normals[body.faces] = body.corners, body.corner_normals
     for turn, coarse in zip(turns, decimation.coarser(vertices, normals, faces, twin, turns, LONGEST * body.size)):
-        twin = mesh_facts.twins(mesh_facts.weld(vertices, coarse))
-        if twin is None:
+        if mesh_facts.twins(mesh_facts.weld(vertices, coarse)) is None:
             break
         if len(coarse) <= WORTH * body.triangle_count:
-            own.append(Level(turn, len(coarse), _fields(body, coarse, vertices, normals, twin)))
+            own.append(Level(turn, len(coarse), coarse, vertices, normals))
     return own[::-1]
-
-
-def _fields(body, faces, vertices, normals, twin):
-    corners, corner_normals = vertices[faces], normals[faces]
-    # How far a circular arc is from its chord, given the turn of its normals: edge x turn / 8; a triangle's middle 4/3 of it.
-    edge, turn = (np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2) for x in (corners, corner_normals))
-    return {
-        "corners": corners, "normals": triangle.geometric_normal(corners), "corner_normals": corner_normals, "twin": twin,
-        "first_record": 0, "apart": float((edge * turn).max() / 6), "key": ("coarse", len(faces), *body.key),
-    }  # fmt: skip
