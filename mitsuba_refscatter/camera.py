@@ -20,8 +20,8 @@ from .scene import NONE, holds, refusal
 @dataclass
 class Legs:
     """Rays on their way (world coordinates): origin, direction, weight, camera sample, region around (or
-    NONE), numbers of internal reflections and of hits from outside so far; and, since the origin is off the boundary and rounded, the way
-    ``back`` to the point where the leg starts, and how much longer it is (``behind``)."""
+    NONE), numbers of internal reflections and of hits from outside so far; and, the way
+    ``back`` from the origin, rounded in world coordinates, to the point where the leg starts."""
 
     o: object
     d: object
@@ -31,7 +31,6 @@ class Legs:
     reflections: object
     entries: object
     back: object
-    behind: object
 
     def map(self, f):
         return Legs(*(f(x) for x in self.__dict__.values()))
@@ -67,7 +66,7 @@ def trace(scene, ray, active, start, internal_bounces, surfaces, min_weight):
     legs = Legs(
         mi.Point3f(ray.o) + dr.zeros(mi.Point3f, n), ray.d, mi.Spectrum(1) + dr.zeros(mi.Spectrum, n),
         dr.arange(mi.UInt32, n), dr.opaque(mi.UInt32, start, n), dr.zeros(mi.UInt32, n), dr.zeros(mi.UInt32, n),
-        dr.zeros(mi.Vector3f, n), dr.zeros(mi.Float, n),
+        dr.zeros(mi.Vector3f, n),
     )  # fmt: skip
     if not isinstance(active, bool) or not active:
         legs = legs.gather(dr.compress(mi.Bool(active) & dr.full(mi.Bool, True, n)))
@@ -162,7 +161,7 @@ def _record(scene, legs, hit, length, paths):
             if dr.width(kept) > 0:
                 s, t = legs.gather(kept), dr.gather(mi.Float, length, kept)
                 t = dr.minimum(t, dr.opaque(mi.Float, region.reach)) if region.reach else t
-                paths.segments[region.index].append((s.o, s.back, s.d, t + s.behind, s.weight, s.sample))
+                paths.segments[region.index].append((s.o, s.back, s.d, t, s.weight, s.sample))
 
 
 def _split(
@@ -207,10 +206,10 @@ def _split(
         if not surfaces:
             goes_on &= goes_in | mi.Bool(again)
         offset = tolerances.CAMERA_OFFSET * extent
-        origin = centre + (P + tri.Ng * dr.copysign(offset, side))
-        back, behind = P - (origin - centre), offset / dr.maximum(dr.abs(side), tolerances.GRAZING)
+        start = P + tri.Ng * dr.copysign(offset, side)
+        origin = centre + start
         legs_on = Legs(mi.Point3f(origin), mi.Vector3f(d), weight, legs.sample, dr.select(goes_in, inside, outside),
-                       reflections if mirrored else legs.reflections, entries, mi.Vector3f(back), behind)  # fmt: skip
+                       reflections if mirrored else legs.reflections, entries, mi.Vector3f(start - (origin - centre)))  # fmt: skip
         kept = dr.compress(goes_on)
         if dr.width(kept) > 0:
             out.append(legs_on.gather(kept))
@@ -241,8 +240,8 @@ def _reflected(scene, legs, ray, pi, mirror, internal_bounces, min_weight, first
     legs.entries = legs.entries + mi.UInt32(0 if first else 1)
     along = dr.dot(d, si.n)
     offset = scene.mirror_extent(pi.shape) * tolerances.CAMERA_OFFSET
-    side, legs.behind = dr.copysign(offset, along), offset / dr.maximum(dr.abs(along), tolerances.GRAZING)
-    legs.o, legs.d, legs.back = mi.Point3f(si.p + si.n * side), mi.Vector3f(d), -mi.Vector3f(si.n) * side
+    side = dr.copysign(offset, along)
+    legs.o, legs.d, legs.back = mi.Point3f(si.p + si.n * side), mi.Vector3f(d), dr.zeros(mi.Vector3f, dr.width(d))
     dr.eval(legs)  # the mirrors are asked once
     kept = dr.compress(dr.max(legs.weight) > min_weight)
     return [legs.gather(kept)] if dr.width(kept) > 0 else []

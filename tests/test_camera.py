@@ -282,7 +282,7 @@ def test_a_missed_crossing_between_nested_bodies_is_no_overlap(rgb, nested):
                             "to_world": mi.ScalarTransform4f().scale(scale)}  # fmt: skip
     found = read(mi.load_dict(parts, optimize=False), 0.01, Kept())
     outer, inner = sorted(found.bodies, key=lambda body: body.eta)
-    leg = camera.Legs(mi.Point3f(0, 0, 0.1), mi.Vector3f(1, 0, 0), mi.Spectrum(1), mi.UInt32(0), mi.UInt32(inner.inside), 0, 0, mi.Vector3f(0), 0)  # fmt: skip
+    leg = camera.Legs(mi.Point3f(0, 0, 0.1), mi.Vector3f(1, 0, 0), mi.Spectrum(1), mi.UInt32(0), mi.UInt32(inner.inside), 0, 0, mi.Vector3f(0))  # fmt: skip
     arguments = found, leg, mi.Float(0.02), mi.UInt32(outer.index), mi.Bool(True)
     if nested:
         camera._refuse_overlaps(*arguments)
