@@ -20,7 +20,7 @@ from .scene import NONE, holds, refusal
 @dataclass
 class Legs:
     """Rays on their way (world coordinates): origin, direction, weight, camera sample, region around (or
-    NONE), numbers of internal reflections and of hits from outside so far; and, the way
+    NONE), numbers of internal reflections and of hits from outside so far; and the way
     ``back`` from the origin, rounded in world coordinates, to the point where the leg starts."""
 
     o: object
@@ -205,8 +205,7 @@ def _split(
             goes_on &= reflections <= internal_bounces
         if not surfaces:
             goes_on &= goes_in | mi.Bool(again)
-        offset = tolerances.CAMERA_OFFSET * extent
-        start = P + tri.Ng * dr.copysign(offset, side)
+        start = P + tri.Ng * dr.copysign(tolerances.CAMERA_OFFSET * extent, side)
         origin = centre + start
         legs_on = Legs(mi.Point3f(origin), mi.Vector3f(d), weight, legs.sample, dr.select(goes_in, inside, outside),
                        reflections if mirrored else legs.reflections, entries, mi.Vector3f(start - (origin - centre)))  # fmt: skip
@@ -238,9 +237,7 @@ def _reflected(scene, legs, ray, pi, mirror, internal_bounces, min_weight, first
     d = si.to_world(drawn.wo)
     legs.weight = legs.weight * value
     legs.entries = legs.entries + mi.UInt32(0 if first else 1)
-    along = dr.dot(d, si.n)
-    offset = scene.mirror_extent(pi.shape) * tolerances.CAMERA_OFFSET
-    side = dr.copysign(offset, along)
+    side = dr.copysign(scene.mirror_extent(pi.shape) * tolerances.CAMERA_OFFSET, dr.dot(d, si.n))
     legs.o, legs.d, legs.back = mi.Point3f(si.p + si.n * side), mi.Vector3f(d), dr.zeros(mi.Vector3f, dr.width(d))
     dr.eval(legs)  # the mirrors are asked once
     kept = dr.compress(dr.max(legs.weight) > min_weight)

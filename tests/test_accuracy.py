@@ -143,9 +143,8 @@ def test_sphere_converges(rgb, tmp_path):
     for level in (2, 3, 4, 5):
         shape = build.mesh_shape(icosphere(level), tmp_path / f"m{level}.ply")
         scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light(LIGHT)})
-        ours = build.single_scattering(
-            scene, o, d, internal_bounces=0, tolerance=1e-4
-        )  # by the mesh itself, none coarser
+        # By the mesh itself: at this tolerance none coarser stands for it.
+        ours = build.single_scattering(scene, o, d, internal_bounces=0, tolerance=1e-4)
         errors.append(abs(ours.sum() / truth.sum() - 1))
     ratios = np.divide(errors[:-1], errors[1:])
     assert (ratios > 3).all(), (errors, ratios)

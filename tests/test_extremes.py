@@ -18,6 +18,7 @@ CAMERA, TOLERANCE = (0.0, 1.1, 5.2), 1e-3
 WORST = 5e-2
 """Relative error that one ray in a hundred may have; over all rays it is the tolerance."""
 
+SHIFT = np.array([1.0, -2.0, 3.0])
 BUMPY = build.rounded_mesh(extremes.bumps(2))
 BALL = build.rounded_mesh(icosphere(2))
 BOX = build.rounded_mesh(box([-1, -1, -1], [1, 1, 1]))
@@ -26,8 +27,9 @@ BOX = build.rounded_mesh(box([-1, -1, -1], [1, 1, 1]))
 @dataclass(frozen=True)
 class Case:
     """Camera rays into a body. ``scale``, ``shift``: of all of it, with the density in proportion; the oracle sees it where it was, but
-    with places rounded to float32 where they are then. ``aside``: what is added to its rays' directions, as it loses those through edges. ``span``: share of a segment that one of its chords sees at most: its exponentials are taken in the
-    chords' middles, so that it is short where much is absorbed."""
+    with places rounded to float32 where they are then. ``aside``: what is added to its rays' directions, as it loses those
+    through edges. ``span``: share of a segment that one of its chords sees at most: its exponentials are taken in the chords'
+    middles, so that it is short where much is absorbed."""
 
     name: str
     mesh: Mesh = BUMPY
@@ -48,11 +50,11 @@ class Case:
 
     def place(self, x):
         """Points where the renderer sees them."""
-        return (self.scale * np.asarray(x) + np.array([1.0, -2.0, 3.0]) * self.shift).astype(np.float32).astype(float)
+        return (self.scale * np.asarray(x) + self.shift * SHIFT).astype(np.float32).astype(float)
 
     def back(self, x):
         """The same, moved back."""
-        return (self.place(x) - np.array([1.0, -2.0, 3.0]) * self.shift) / self.scale
+        return (self.place(x) - self.shift * SHIFT) / self.scale
 
     def ours(self, tmp_path):
         k = self.scale
@@ -142,8 +144,8 @@ def marks(case):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [pytest.param(case, marks=marks(case), id=case.name) for case in CASES])
 def test_against_the_oracle(rgb, tmp_path, monkeypatch, case):
+    monkeypatch.setattr(oracle, "MAX_SPLITS", oracle.MAX_SPLITS + int(np.log2(oracle.SPAN / case.span)))
     monkeypatch.setattr(oracle, "SPAN", case.span)
-    monkeypatch.setattr(oracle, "MAX_SPLITS", oracle.MAX_SPLITS + int(np.log2(1 / 256 / case.span)))
     ours, truth = case.ours(tmp_path), case.truth()
     assert np.isfinite(ours).all() and (ours >= 0).all()
     assert truth.sum() > 0

@@ -90,7 +90,7 @@ def piece_at(tri, light, u0, v0, h):
         curved = dr.maximum(curved, 2 * dr.abs(inside - 0.5 * (c_V2[j] + c_V2[k])))
     low, high = fold(dr.minimum, c_V2), fold(dr.maximum, c_V2)
     bend = dr.select(low < curved, dr.maximum(bend, dr.safe_sqrt(high + curved)), bend)
-    return Piece(list(P), list(omega), bend, twist + sag if tri.curved else twist, u0, v0, h)
+    return Piece(list(P), list(omega), bend, twist + sag, u0, v0, h)
 
 
 def nothing(piece, empty):

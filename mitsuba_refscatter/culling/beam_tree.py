@@ -125,7 +125,7 @@ def _beam_bounds(piece, body):
     w1, w2 = omega[1] - omega[0], omega[2] - omega[0]
     columns = [w1 * b1[k] + w2 * b2[k] for k in range(3)]
     sag, model = 0, bend
-    if body.sag > 0:
+    if body.stands_for is not None:
         sag = piece.twist  # at least how far it is curved
         model = model + sag * dr.sqrt(sum(dr.squared_norm(x) for x in columns))
     P_low, P_high = _hull(P, sag)

@@ -41,10 +41,9 @@ class Clearance:
     def __init__(self, records, first_record, corners):
         self.surface = Surface(records, first_record, corners, lambda tri: [tri.Ng], _pack, NODE)
 
-    def clear(self, tri, piece, sag):
-        """Length to which beams (``beam.Piece``) are certainly free, as the numbers of ``pairs.Reach``; ``sag``: how far their light
-        may come in from their plane triangles."""
-        sag = dr.opaque(mi.Float, sag)
+    def clear(self, tri, piece):
+        """Length to which beams (``beam.Piece``) are certainly free, as the numbers of ``pairs.Reach``."""
+        sag = piece.twist if tri.curved else mi.Float(0)  # at least how far light comes in from the plane triangle
         P, omega, bend = piece.P, piece.omega, piece.bend
         axis_P, axis = (P[0] + P[1] + P[2]) / 3, dr.normalize(omega[0] + omega[1] + omega[2])
         start = dr.maximum(dr.norm(P[0] - axis_P), dr.maximum(dr.norm(P[1] - axis_P), dr.norm(P[2] - axis_P))) + sag

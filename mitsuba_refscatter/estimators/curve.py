@@ -143,16 +143,17 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     interval = _interval(pairs, chord, ends, tri, lighting, segment, newton)
     sigma_t = segments.sigma_t_of(pairs.segment)
     width = dr.maximum(interval.end - interval.start, 0)
-    change = dr.abs(interval.path[2]) * width * sigma_t
+    slope = dr.abs(interval.path[2])
+    change = slope * width * sigma_t
     # Where much is absorbed a part is short by its optical depth, and what is behind OPAQUE does not matter.
-    steepest = dr.maximum(dr.max(sigma_t) * dr.abs(interval.path[2]), 1)
+    steepest = dr.maximum(dr.max(sigma_t) * slope, 1)
     length = mi.Float(1) if pairs.tau0 is None else pairs.tau1 - pairs.tau0
-    long = True if pairs.tau0 is None else length * steepest > tolerances.SHORTEST
     nearest = dr.minimum(interval.path_at(interval.start), interval.path_at(interval.end))
-    nearest -= tolerances.MARGIN * dr.abs(interval.path[2]) * length
-    may_cut = chord.active & long & (dr.min(sigma_t) * nearest < tolerances.OPAQUE)
+    nearest -= tolerances.MARGIN * slope * length
+    may_cut = chord.active & (length * steepest > tolerances.SHORTEST)
+    may_cut &= dr.min(sigma_t) * nearest < tolerances.OPAQUE
     cut = may_cut & (dr.max(change) > tolerances.DEPTH)
-    slack = dr.opaque(mi.Float, accuracy.clip) * dr.abs(interval.path[2]) / steepest
+    slack = dr.opaque(mi.Float, accuracy.clip) * slope / steepest
     scale = chord.scale * width
     total, resolved, contributes, is_open = mi.Spectrum(0), mi.Bool(True), mi.Bool(False), mi.Bool(False)
     for tau, weight in zip(*tolerances.gauss(accuracy.points)):

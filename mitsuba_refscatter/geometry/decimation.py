@@ -94,10 +94,6 @@ def _lies_well(vertices, normals, a, b, c):
     return np.all([np.einsum("ij,ij->i", m, normals[i]) > least for i in (a, b, c)], axis=0)
 
 
-def _keys(a, b, count):
-    return a.astype(np.int64) * count + b
-
-
 def _round(vertices, normals, faces, fixed, longest, turn, least_shape, random):
     """Collapses some vertices, no two of them neighbours. Returns the faces left and how many vertices went."""
     count = len(vertices)
@@ -171,12 +167,12 @@ def _shape(vertices, normals, v, p, q, face, longest, turn):
 
 def _clash(v, p, tail, head, count):
     """Which of the edges (v, p) that collapses make exist already or are made by another one, too."""
-    key = _keys(np.minimum(v, p), np.maximum(v, p), count)
+    key = mesh.edge_keys(v, p, count)
     near = np.zeros(count, dtype=bool)
     near[v] = True
     known = near[tail] | near[head]
     tail, head = tail[known], head[known]
-    there = np.isin(key, _keys(np.minimum(tail, head), np.maximum(tail, head), count))
+    there = np.isin(key, mesh.edge_keys(tail, head, count))
     _, first = np.unique(key, return_index=True)
     again = np.ones(len(key), dtype=bool)
     again[first] = False

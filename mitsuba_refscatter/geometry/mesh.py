@@ -28,11 +28,9 @@ def twins(faces):
     return twin
 
 
-def edge_keys(faces, count):
-    """A number for each edge of faces (F, 3), of ``count`` vertices, as in ``twins``, the same in both directions: lower vertex x count +
-    upper vertex."""
-    tail, head = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel()
-    return np.minimum(tail, head) * count + np.maximum(tail, head)
+def edge_keys(a, b, count):
+    """A number for each edge between two of ``count`` vertices, the same in both directions: lower x ``count`` + upper."""
+    return np.minimum(a, b).astype(np.int64) * count + np.maximum(a, b)
 
 
 def volume(corners):

@@ -1,7 +1,6 @@
 """Single scattering of all lights in all regions: which light points, through which boundaries, onto which segments."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import drjit as dr
 import mitsuba as mi
@@ -143,8 +142,7 @@ class Prepared:
         if shadows.may_prove_inside and self.accuracy.samples_visibility:
             clear = estimate(lambda P, Ng, omega: shadows.reach(P, Ng, omega, None), source)
         elif shadows.may_prove_inside:
-            clearance = self._clearance(body.stands_for or body)
-            clear = partial(clearance.clear, sag=body.sag)
+            clear = self._clearance(body.stands_for or body).clear
         order = self.kept.once(lambda: light_beams.order_of(body), "order", *place)
         return light_beams.build(body, records, order, source, self.accuracy.bend, shadows.seen, clear)
 

@@ -31,8 +31,8 @@ class Body:
     end the length that matters; ``extent``: largest coordinate, world; ``key``: what it was made from (``kept.Kept``);
     ``faces``: (F, 3) indices of vertices with one position and normal each, or None where normals are those of facets;
     ``stands_for``: where it has a coarser mesh, of patches, the body; ``bulge``: what is then to be added to linear positions and normals
-    in the middles of the triangles' edges 01, 12, 20, (F, 2, 3, 3); ``sag``: how far the patches are from their plane triangles;
-    ``apart``: how far they are from the boundary that they stand for; ``inside``, ``outside``: indices of regions, or NONE.
+    in the middles of the triangles' edges 01, 12, 20, (F, 2, 3, 3);
+    ``apart``: how far the patches are from the boundary that they stand for; ``inside``, ``outside``: indices of regions, or NONE.
     """
 
     name: str
@@ -58,7 +58,6 @@ class Body:
     faces: object
     stands_for: object = None
     bulge: object = None
-    sag: float = 0.0
     apart: float = 0.0
     inside: int = NONE
     outside: int = NONE
@@ -74,11 +73,9 @@ class Body:
     def packed(self):
         """Its triangles, or patches, as records of ``geometry.triangle``."""
         own = (self.corners - np.array(self.centre), self.corner_normals, self.normals)
-        return (
-            triangle.pack(*own)
-            if self.bulge is None
-            else triangle.pack_patches(*own, self.bulge[:, 0], self.bulge[:, 1])
-        )
+        if self.bulge is None:
+            return triangle.pack(*own)
+        return triangle.pack_patches(*own, self.bulge[:, 0], self.bulge[:, 1])
 
     def tint(self, what, wavelengths):
         """The constant factor ``specular_transmittance`` or ``specular_reflectance``; 1 where the BSDF has none."""

@@ -44,11 +44,12 @@ SLIP = 1e-3
 @dataclass
 class Level:
     """A mesh that may stand for a body's: ``turn`` of the normals along its edges; ``faces``: of ``vertices`` and their ``normals``, or
-    None where it is the body's own."""
+    None where it is the body's own; ``twin``: of each directed edge; ``made``: fields of ``Body``, at the first use."""
 
     turn: float
     triangles: int
     faces: object = None
+    twin: object = None
     vertices: object = None
     normals: object = None
     made: object = None
@@ -58,14 +59,16 @@ class Level:
         if self.faces is None:
             return body
         self.made = self.made or self._fields(body, scene)
-        return replace(body, **self.made)
+        return replace(body, stands_for=body, **self.made)
 
     def _fields(self, body, scene):
         corners, corner_normals = self.vertices[self.faces], self.normals[self.faces]
-        key, numbers = np.unique(mesh_facts.edge_keys(self.faces, len(self.vertices)), return_inverse=True)
-        ends = np.stack(np.divmod(key, len(self.vertices)), axis=1)
+        count = len(self.vertices)
+        tail, head = self.faces.ravel(), np.roll(self.faces, -1, axis=1).ravel()
+        key, numbers = np.unique(mesh_facts.edge_keys(tail, head, count), return_inverse=True)
+        ends = np.stack(np.divmod(key, count), axis=1)
         P, n = (x[ends] for x in (self.vertices, self.normals))
-        more_P, more_n, found = _bulge(scene, body, P, n)
+        more_P, more_n, _ = _bulge(scene, body, P, n)
         bulge = np.stack([more_P, more_n], axis=1)[numbers.reshape(-1, 3)]
         # A patch is furthest from its boundary near the middle, where the values of its edges' middles count 4/9.
         off, _, seen = _bulge(scene, body, corners, corner_normals)
@@ -75,8 +78,7 @@ class Level:
         )
         return {
             "corners": corners, "normals": triangle.geometric_normal(corners), "corner_normals": corner_normals,
-            "twin": mesh_facts.twins(mesh_facts.weld(self.vertices, self.faces)), "first_record": 0, "stands_for": body,
-            "bulge": bulge.transpose(0, 2, 1, 3), "sag": float(4 / 3 * np.linalg.norm(more_P, axis=1).max()),
+            "twin": self.twin, "first_record": 0, "bulge": bulge.transpose(0, 2, 1, 3),
             "apart": float(np.abs(off[seen]).max(initial=0.0)), "key": ("coarse", len(self.faces), *body.key),
         }  # fmt: skip
 
@@ -131,9 +133,11 @@ def levels(body, least_turn, most_turn):
         return own
     vertices, normals = (np.zeros((faces.max() + 1, 3)) for _ in range(2))
     vertices[body.faces], normals[body.faces] = body.corners, body.corner_normals
+    welded = mesh_facts.weld(vertices, np.arange(len(vertices)))
     for turn, coarse in zip(turns, decimation.coarser(vertices, normals, faces, twin, turns, LONGEST * body.size)):
-        if mesh_facts.twins(mesh_facts.weld(vertices, coarse)) is None:
+        twin = mesh_facts.twins(welded[coarse])
+        if twin is None:
             break
         if len(coarse) <= WORTH * body.triangle_count:
-            own.append(Level(turn, len(coarse), coarse, vertices, normals))
+            own.append(Level(turn, len(coarse), coarse, twin, vertices, normals))
     return own[::-1]
