@@ -19,6 +19,13 @@ from .console import defines, err, known, load, measurable, out, plainly, requir
 app = typer.Typer()
 
 
+def _write(directory, name, plot, rows):
+    """Writes a picture and ``results.json`` of all rows so far to a directory; returns both paths as lines."""
+    picture = directory / name
+    output.write_file(picture, lambda unfinished: plot(rows, unfinished))
+    return f"{picture}\n{results.write(directory, rows)}"
+
+
 @app.command()
 @plainly
 def scaling(
@@ -48,8 +55,11 @@ def scaling(
     shown = table("triangles", "method", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray",
                    "contributing/ray", "L1 error", "first s", "peak MiB")  # fmt: skip
 
-    def add(rows):
-        for row in rows[:-1]:
+    rows = []
+    for found in scaling_runs.run(triangles, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces,
+                                  tolerance=tolerance, methods=tuple(methods), variant=variant):  # fmt: skip
+        rows += found
+        for row in found[:-1]:
             memory = row["peak_memory_bytes"]
             shown.add_row(
                 str(row["triangles"]), row["method"], f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
@@ -58,17 +68,14 @@ def scaling(
                 f"{row['mean_relative_error']:.1e}", f"{row['first_seconds']:.1f}",
                 "" if memory is None else f"{memory / 2**20:.0f}",
             )  # fmt: skip
-        err.print(f"{rows[0]['triangles']} triangles done")
-
-    rows = scaling_runs.run(triangles, add, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces,
-                            tolerance=tolerance, methods=tuple(methods), variant=variant)  # fmt: skip
+        if directory is not None:
+            _write(directory, "scaling.png", scaling_runs.plot, rows)
+        err.print(f"{found[0]['triangles']} triangles done")
     out.print(shown)
     for (method, key), power in scaling_runs.exponents(rows).items():
         out.print(f"{method}: {key} grows with triangles^{power:.2f}", markup=False)
     if directory is not None:
-        picture = directory / "scaling.png"
-        output.write_file(picture, lambda unfinished: scaling_runs.plot(rows, unfinished))
-        out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)
+        out.print(_write(directory, "scaling.png", scaling_runs.plot, rows), markup=False)
 
 
 @app.command()
@@ -96,9 +103,7 @@ def convergence(
     for name in scenes:
         rows += convergence_runs.run(name, most, add, variant=variant, resolution=resolution)
     out.print(shown)
-    picture = directory / "convergence.png"
-    output.write_file(picture, lambda unfinished: convergence_runs.plot(rows, unfinished))
-    out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)
+    out.print(_write(directory, "convergence.png", convergence_runs.plot, rows), markup=False)
 
 
 @app.command()
@@ -138,9 +143,7 @@ def equal_error(
                                    radii=tuple(radii), seconds=seconds)  # fmt: skip
     rows = equal_error_runs.run(setup, add)
     out.print(shown)
-    picture = directory / "equal_error.png"
-    output.write_file(picture, lambda unfinished: equal_error_runs.plot(rows, unfinished))
-    out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)
+    out.print(_write(directory, "equal_error.png", equal_error_runs.plot, rows), markup=False)
 
 
 @app.command()
@@ -181,8 +184,7 @@ def tradeoff(
     for path in scene:
         name = path.resolve().parent.name if path.stem == "scene" else path.stem
         rows += tradeoff_runs.run(name, load(path, defines(define)), setup, add)
+        written = _write(directory, "tradeoff.png", tradeoff_runs.plot, rows)
         err.print(f"{name} done", markup=False)
     out.print(shown)
-    picture = directory / "tradeoff.png"
-    output.write_file(picture, lambda unfinished: tradeoff_runs.plot(rows, unfinished))
-    out.print(str(picture), str(results.write(directory, rows)), sep="\n", markup=False)
+    out.print(written, markup=False)

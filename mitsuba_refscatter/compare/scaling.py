@@ -103,15 +103,12 @@ def _row(setup, triangles, method, settings, samples):
                        settings={**settings, "resolution": setup.resolution}, samples=samples)  # fmt: skip
 
 
-def run(sizes, report=lambda rows: None, **setup):
-    """Measures all sizes, each in a fresh process; ``report(rows)`` is called after each. Returns all rows."""
-    rows, context = [], multiprocessing.get_context("spawn")
+def run(sizes, **setup):
+    """Measures all sizes, each in a fresh process; yields the rows of each."""
+    context = multiprocessing.get_context("spawn")
     for triangles in sizes:
         with concurrent.futures.ProcessPoolExecutor(1, mp_context=context) as pool:
-            found = pool.submit(measure, Setup(triangles=triangles, **setup)).result()
-        rows += found
-        report(found)
-    return rows
+            yield pool.submit(measure, Setup(triangles=triangles, **setup)).result()
 
 
 NO_PAIRS = {"rays": None, "candidates_per_ray": None, "contributing_per_ray": None}
