@@ -85,20 +85,13 @@ def trace(scene, ray, active, start, internal_bounces, surfaces, min_weight):
 
 def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, min_weight):
     """Takes all legs to their next hit; records segments and ends; returns the legs that go on."""
-    pi = scene.mi_scene.ray_intersect_preliminary(mi.Ray3f(legs.o, legs.d), coherent=first)
-    hit = pi.is_valid()
-    target = scene.find(pi.shape)
-    boundary = target != NONE
+    met = _meet(scene, legs, first)
+    pi, hit, target, boundary, leaving, here, other = (
+        getattr(met, name) for name in ("pi", "hit", "target", "boundary", "leaving", "here", "other")
+    )
     mirror = mi.Bool(False) if scene.mirrors is None else hit & scene.is_mirror(pi.shape)
     if first:
         dr.scatter(paths.hit, hit, legs.sample)
-    index = dr.select(boundary, dr.gather(mi.UInt32, scene.first_record, target, boundary) + pi.prim_index, 0)
-    tri = triangle.gather(scene.records, index, boundary)
-    leaving = boundary & (dr.dot(legs.d, tri.Ng) > 0)
-    # The region that the boundary says is around; another one is a slip through an edge, or bodies that touch.
-    here = scene.near(target, leaving, boundary)
-    other = boundary & (here != legs.region)
-    dr.eval(pi, target, hit, boundary, mirror, leaving, here, other)  # the rays are traced once
     _refuse_overlaps(scene, legs, pi.t, target, other)
     if first:
         _refuse_other_medium(scene, legs, target, other & ~leaving)
@@ -125,7 +118,7 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
         arriving,
         wavelengths,
         pi,
-        tri,
+        met.tri,
         target,
         boundary,
         leaving,
@@ -140,6 +133,52 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     if not split:
         return legs.gather(dr.zeros(mi.UInt32, 0))
     return Legs(*(lanes.concat(x) for x in zip(*(legs.__dict__.values() for legs in split))))
+
+
+@dataclass
+class Met:
+    """What legs meet next: Mitsuba's preliminary intersection; whether there is one; the body (or NONE), and whether it is one; the triangle of it;
+    whether it is met from its inside; the region ``here``, on its near side; and whether that is an ``other`` one than that of the leg."""
+
+    pi: object
+    hit: object
+    target: object
+    boundary: object
+    tri: object
+    leaving: object
+    here: object
+    other: object
+
+    @staticmethod
+    def of(scene, legs, pi):
+        hit = pi.is_valid()
+        target = scene.find(pi.shape)
+        boundary = target != NONE
+        index = dr.select(boundary, dr.gather(mi.UInt32, scene.first_record, target, boundary) + pi.prim_index, 0)
+        tri = triangle.gather(scene.records, index, boundary)
+        leaving = boundary & (dr.dot(legs.d, tri.Ng) > 0)
+        here = scene.near(target, leaving, boundary)
+        other = boundary & (here != legs.region)
+        dr.eval(pi, target, hit, boundary, leaving, here, other)  # the rays are traced once
+        return Met(pi, hit, target, boundary, tri, leaving, here, other)
+
+
+def _meet(scene, legs, first):
+    """``Met`` of all legs. Those that meet a boundary from a region that it is not next to, or nothing inside of a closed body, have
+    slipped through an edge unseen, or bodies touch there: they are traced again slightly aside."""
+    ray = mi.Ray3f(legs.o, legs.d)
+    met = Met.of(scene, legs, scene.mi_scene.ray_intersect_preliminary(ray, coherent=first))
+    slipped = dr.compress(met.other | (~met.hit & scene.enclosed(legs.region)))
+    if dr.width(slipped) == 0:
+        return met
+    o, d = dr.gather(mi.Point3f, legs.o, slipped), dr.gather(mi.Vector3f, legs.d, slipped)
+    frame = mi.Frame3f(d)
+    aside = dr.normalize(d + tolerances.ASIDE * (frame.s + 0.618 * frame.t))
+    again = scene.mi_scene.ray_intersect_preliminary(mi.Ray3f(o, aside))
+    pi = met.pi
+    for name in ("t", "prim_uv", "prim_index", "shape_index", "shape", "instance"):
+        dr.scatter(getattr(pi, name), getattr(again, name), slipped)
+    return Met.of(scene, legs, pi)
 
 
 def _make_up(scene, legs, target, leaving, here, other):

@@ -16,6 +16,9 @@ SHADOW_END = 1e-4
 CAMERA_OFFSET = 2e-6
 """Relative to the body's largest coordinate: how far camera legs start off a boundary."""
 
+ASIDE = 2e-6
+"""Angle by which a ray is turned that slipped through an edge of a mesh: a few times what float32 makes of its direction."""
+
 OPAQUE = 20.0
 """Optical depth behind which nothing is seen of a medium: 2e-9 of the light is left."""
 
@@ -51,6 +54,9 @@ COSINE = 1e-5
 SLOPE = 0.25
 """Smallest |dg/dlambda| at a root relative to its value for a linear beam. Below, the curve turns back
 inside the triangle (a fold) and the linear beam is the better estimate; counted as unresolved."""
+
+FLAT = 8.0
+"""Change of g along an edge relative to its deviation from linear in the middle, below which the curve may run along the edge."""
 
 OVERSHOOT = 2.0
 """Largest lambda taken for a root on the ray through the chord; beyond, the linear beam is used."""
@@ -132,6 +138,9 @@ MOST_SAMPLES = 256.0
 
 FOUND = 0.5
 """Share of an interval's samples that must be found for it to count as resolved."""
+
+MOST_UNRESOLVED = 0.05
+"""Share of camera samples that are not resolved above which a render warns."""
 
 FOLD_STEPS = 4
 """Steps of regula falsi for a fold; t there is then good to the square of their error."""

@@ -50,14 +50,30 @@ class Segments:
 
 @dataclass
 class Counts:
-    """Work done: camera segments, and (segment, leaf) pairs that the trees' traversal found."""
+    """Work done: camera segments, and (segment, leaf) pairs that the trees' traversal found; camera samples, and those of
+    them that are ``unresolved``: light paths that were not found bring more than the tolerance of their radiance."""
 
     segments: int = 0
     leaves: int = 0
+    samples: int = 0
+    unresolved: int = 0
 
     def add(self, other):
         self.segments += other.segments
         self.leaves += other.leaves
+
+    def saw(self, samples, unresolved):
+        """Adds camera samples, and of which the light paths are ``unresolved`` (Bool)."""
+        self.samples += samples
+        self.unresolved += int(dr.count(unresolved)[0])
+
+    def warn(self, tolerance):
+        """Says so where the share of samples that are not resolved is large."""
+        share = self.unresolved / max(self.samples, 1)
+        if share > tolerances.MOST_UNRESOLVED:
+            mi.Log(mi.LogLevel.Warn, f"refscatter: {share:.1%} of the camera samples are not known to the tolerance {tolerance:g}: their rays graze "
+                   "caustics, or triangles are large for what they refract; the AOV \"unresolved\" shows where. Lower the tolerance or "
+                   "tessellate the boundary more finely.")  # fmt: skip
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""The chord of a light beam: where the linear g vanishes, and what limits the light along it."""
+"""The chord of a light beam: between the zeros of g on its edges, and what limits the light along it."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ def meeting(P, omega, segment):
 
 @dataclass
 class Chord:
-    """The zero line of the linear g in a beam: the corner M of the rays that look for the curve, the edge points
+    """The line between the zeros of g on a beam's edges: the corner M of the rays that look for the curve, the edge points
     E1 and E2 from there, twice the area of M E1 E2, g at the corner, and whether g changes its sign at all (``active``)."""
 
     M: object
@@ -37,12 +37,11 @@ class Chord:
 def chord_of(piece, tri, lighting, segment):
     """The chord of beams, and the limits (``limits_at``) at its two ends, interpolated from the corners.
 
-    The rays start from the lone corner A: then the curves of neighbouring triangles meet on their common edge. Only
-    where g changes less along an edge at A than it can deviate from linear, as where the curve runs along that
-    edge, do they start from the corner where |g| is largest.
+    It ends where a quadratic through the corners and the middle of an edge vanishes: there the curves of neighbouring triangles,
+    or parts of them, whatever their size, meet. The rays start from the lone corner A; only where the curve runs along an edge at A
+    from the corner opposite to that.
     """
-    zeros = beam.classify(piece, segment)
-    g = zeros.g
+    g = beam.classify(piece, segment).g
     up = [value >= 0 for value in g]
     lone_1, lone_2 = (up[0] == up[2]) & (up[1] != up[0]), (up[0] == up[1]) & (up[2] != up[0])
     active = lone_1 | lone_2 | ((up[1] == up[2]) & (up[0] != up[1]))
@@ -55,10 +54,11 @@ def chord_of(piece, tri, lighting, segment):
 
     g_A, g_B, g_C = turn(g)
     A, B, C = turn(piece.uv())
-    r1 = g_A / dr.select(active, g_A - g_B, 1)
-    r2 = g_A / dr.select(active, g_A - g_C, 1)
-    flat = dr.minimum(dr.abs(g_A - g_B), dr.abs(g_A - g_C)) < zeros.bound
-    from_B, from_C = flat & (dr.abs(g_B) >= dr.abs(g_C)), flat & (dr.abs(g_B) < dr.abs(g_C))
+    r1, flat_B = _root(A, B, g_A, g_B, tri, lighting, segment)
+    r2, flat_C = _root(A, C, g_A, g_C, tri, lighting, segment)
+    size_A, size_B, size_C = dr.abs(g_A), dr.abs(g_B), dr.abs(g_C)
+    from_B = flat_C & (size_B >= dr.maximum(size_A, size_C))
+    from_C = flat_B & (size_C > dr.maximum(size_A, size_B))
     M = dr.select(from_B, B, dr.select(from_C, C, A))
     to_E1, to_E2 = A + r1 * (B - A) - M, A + r2 * (C - A) - M
     scale = dr.abs(to_E1.x * to_E2.y - to_E1.y * to_E2.x)
@@ -68,6 +68,20 @@ def chord_of(piece, tri, lighting, segment):
         at_A, at_B, at_C = turn(values)
         ends.append((at_A + r1 * (at_B - at_A), at_A + r2 * (at_C - at_A)))
     return chord, ends
+
+
+def _root(a, b, g_a, g_b, tri, lighting, segment):
+    """Where g vanishes on edges from a to b (uv) as a share of them, of g with different signs at their ends and quadratic in between;
+    and whether it is so far from linear that the curve may run along the edge."""
+    middle = 0.5 * (a + b)
+    P, omega, _ = beam.refracted(tri, middle.x, middle.y, lighting.light)
+    g = dr.dot(omega, dr.cross(P - segment.o, segment.d))
+    q, p = 2 * (g_a + g_b - 2 * g), 4 * g - 3 * g_a - g_b
+    slope = dr.copysign(dr.safe_sqrt(dr.square(p) - 4 * q * g_a), g_b - g_a)
+    steep = p * slope > 0
+    x = dr.select(steep, -2 * g_a, slope - p) / dr.select(steep, p + slope, 2 * q)
+    x = dr.clip(dr.select(dr.isfinite(x), x, 0.5), 0, 1)
+    return x, dr.abs(g_a - g_b) < tolerances.FLAT * dr.abs(0.25 * q)
 
 
 def limits_at(point, t, s, tri, segment, lighting):

@@ -81,20 +81,24 @@ class Lighting:
 
 @dataclass
 class Sums:
-    """Per segment: the radiance ``value`` (without the segment's weight, sigma_s and the light's intensity), and the
-    numbers of pairs that were looked at (``candidates``), that contributed (parts of beams by their share), and of those
-    that were not resolved (None where not asked for)."""
+    """Per segment: the radiance ``value`` (without the segment's weight, sigma_s and the light's intensity); how much of it is of pairs
+    that were not ``resolved``, in the channel where it is most (Float); and the numbers of pairs that were looked at (``candidates``) and that contributed
+    (``contributions``, parts of beams by their share), None where not asked for."""
 
     value: object
+    unresolved: object
     candidates: object = None
     contributions: object = None
-    unresolved: object = None
 
     @classmethod
     def nothing(cls, n, detail=False):
         """To begin with, for at least ``n`` segments."""
         n = lanes.room(n)
-        return cls(dr.zeros(mi.Spectrum, n), *(dr.zeros(mi.Float, n) if detail else None for _ in range(3)))
+        return cls(
+            dr.zeros(mi.Spectrum, n),
+            dr.zeros(mi.Float, n),
+            *(dr.zeros(mi.Float, n) if detail else None for _ in range(2)),
+        )
 
     def look_at(self, pairs, mask):
         """Counts the pairs in ``mask`` as candidates."""
@@ -104,15 +108,16 @@ class Sums:
     def add(self, pairs, total, contributes, resolved, share=1):
         """Adds the ``total`` of pairs to their segments; each counts as ``share`` contributions."""
         dr.scatter_add(self.value, total, pairs.segment, contributes)
+        dr.scatter_add(self.unresolved, dr.max(total), pairs.segment, contributes & ~resolved)
         if self.contributions is not None:
             dr.scatter_add(self.contributions, mi.Float(share), pairs.segment, contributes)
-            dr.scatter_add(self.unresolved, mi.Float(1), pairs.segment, contributes & ~resolved)
 
     def add_all(self, other, weight, index):
         """Adds the sums of other segments, times a weight, to those at ``index``."""
         dr.scatter_add(self.value, weight * other.value, index)
+        dr.scatter_add(self.unresolved, dr.max(weight) * other.unresolved, index)
         if self.candidates is not None:
-            for name in ("candidates", "contributions", "unresolved"):
+            for name in ("candidates", "contributions"):
                 dr.scatter_add(getattr(self, name), getattr(other, name), index)
         self.eval()
 

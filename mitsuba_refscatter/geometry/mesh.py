@@ -13,18 +13,20 @@ def twins(faces):
     """Pairs each directed edge with its reverse.
 
     Edge ``3 f + k`` runs from corner k of face f to corner k + 1. Returns the twin of each edge, -1 where it has none (a
-    hole); or None if an edge has several, or faces are of inconsistent orientation.
+    hole), itself where its face has one vertex twice; or None if an edge has several, or faces are of inconsistent orientation.
     """
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    n = int(faces.max()) + 1
-    forward, backward = tail.astype(np.int64) * n + head, head.astype(np.int64) * n + tail
+    counts = np.flatnonzero(np.repeat((tail != head).reshape(-1, 3).all(axis=1), 3))
+    tail, head, n = tail[counts].astype(np.int64), head[counts].astype(np.int64), int(faces.max()) + 1
+    forward, backward = tail * n + head, head * n + tail
     i, j = np.argsort(forward), np.argsort(backward)
     keys = forward[i]
     if (keys[1:] == keys[:-1]).any():
         return None
-    place = np.minimum(np.searchsorted(backward[j], keys), len(keys) - 1)
-    twin = np.empty(len(keys), dtype=np.int64)
-    twin[i] = np.where(backward[j][place] == keys, j[place], -1)
+    twin = np.arange(faces.size)
+    if len(keys) > 0:
+        place = np.minimum(np.searchsorted(backward[j], keys), len(keys) - 1)
+        twin[counts[i]] = np.where(backward[j][place] == keys, counts[j[place]], -1)
     return twin
 
 

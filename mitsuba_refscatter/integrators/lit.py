@@ -138,6 +138,18 @@ class Prepared:
         records, place = self.records(body), (body.first_record, *body.key, *self.scene.key)
         if self.culling == "spindle":
             return self.kept.once(lambda: Spindle(body, records), "spindle", *place)
+
+        def beams():
+            return self._beams(body, records, place, source, shadows)
+
+        if self.scene.obstacles is None or dr.width(source.L) > 1:
+            return beams()
+        reach = (body.size, *body.box_low, *body.box_high)
+        light = (source.distant, *np.array(source.L).ravel().tolist())
+        how = (self.accuracy.bend, self.accuracy.samples_visibility, shadows.lit is None)
+        return self.kept.once(beams, "beams", *place, *reach, *light, *how, *self.scene.obstacles)
+
+    def _beams(self, body, records, place, source, shadows):
         clear = None
         if shadows.may_prove_inside and self.accuracy.samples_visibility:
             clear = estimate(lambda P, Ng, omega: shadows.reach(P, Ng, omega, None), source)

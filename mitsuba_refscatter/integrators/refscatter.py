@@ -117,8 +117,10 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             medium, sequence = sensor.get_medium(), prepared.sequence
             if self.watch is not None:  # then the number of samples is not known, and samplers stratify for a known one
                 sequence = sequence or Sequence(int(mi.UInt32(seed)[0]))
-            return film.render(lambda *a: self._sample(prepared, medium, *a), sensor, seed, spp, sequence,
-                               self.aov_names(), develop, evaluate, self.progress, self.watch)  # fmt: skip
+            image = film.render(lambda *a: self._sample(prepared, medium, *a), sensor, seed, spp, sequence,
+                                self.aov_names(), develop, evaluate, self.progress, self.watch)  # fmt: skip
+            self.counts.warn(self.options.tolerance)
+            return image
 
     def prepare(self, scene, seed):
         """``Prepared`` for a scene; ``seed()`` gives the seed of its random numbers."""
@@ -142,8 +144,10 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         paths = camera.trace(
             prepared.scene, ray, active, start, opt.internal_bounces, opt.surfaces, prepared.accuracy.weight
         )
-        detail = bool({"candidates", "contributions", "unresolved"} & set(wanted))
+        detail = bool({"candidates", "contributions"} & set(wanted))
         single = self.scatter(prepared, paths, ray, n, batch, sampler, detail, progress)
+        unresolved = single.unresolved > dr.opaque(mi.Float, opt.tolerance) * dr.max(single.value)
+        prepared.counts.saw(n, unresolved)
         shown, hit = mi.Spectrum(0), paths.hit
         if opt.surfaces:
             shown, hit = shade(self.nested, prepared.scene.mi_scene, paths, sampler, ray, n)
@@ -152,7 +156,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             "surfaces": lambda: film.to_rgb(ray_weight * shown + dr.zeros(mi.Spectrum, n), ray.wavelengths),
             "candidates": lambda: [single.candidates],
             "contributions": lambda: [single.contributions],
-            "unresolved": lambda: [dr.select(single.unresolved > 0, mi.Float(1), 0)],
+            "unresolved": lambda: [dr.select(unresolved, mi.Float(1), 0)],
         }
         return single.value + shown, hit, [x for name in wanted for x in extra[name]()]
 

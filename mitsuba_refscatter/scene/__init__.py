@@ -8,6 +8,7 @@ import numpy as np
 
 from .. import lanes
 from ..geometry import mesh as mesh_facts
+from ..kept import fingerprint
 from . import bodies as body_reader
 from . import lights as light_reader
 from . import shapes
@@ -30,7 +31,7 @@ class Scene:
     ``inside``, ``outside``: tables for lookups in kernels, as ``index2`` and ``owner`` by region: square of the index of refraction
     relative to the outermost, and the closed body whose inside it is, or NONE; ``thin``, ``straight``: the same where some boundary is, else
     None (``straight``: what crossing it counts for, 1 or ``ONCE``; 0 if light can't); ``passed``: the bodies that light goes straight through;
-    ``others``: the shapes that are no bodies; ``mirrors``: largest coordinates of those that are mirrors, or None; ``key``: what ``records``
+    ``others``: the shapes that are no bodies; ``obstacles``: what tells whether one of these changed, or None where that is not known; ``mirrors``: largest coordinates of those that are mirrors, or None; ``key``: what ``records``
     were made from.
     """
 
@@ -52,6 +53,7 @@ class Scene:
     straight: object
     passed: list
     others: list
+    obstacles: object
     mirrors: object
     key: tuple
 
@@ -67,9 +69,16 @@ class Scene:
     def missed_behind(self, region, target, leaving, active):
         """Of rays that meet a boundary from another region than theirs: which have already been in the one on its near side. The
         others come from the inside of a body that touches it, and have missed the boundary of that."""
-        known = active & (region != NONE)
-        owner = dr.select(known, dr.gather(mi.UInt32, self.owner, region, known), NONE)
+        owner = self._owner(region, active)
         return active & (leaving | (owner == NONE) | (owner == target))
+
+    def enclosed(self, region):
+        """Which regions a closed body ends."""
+        return self._owner(region, True) != NONE
+
+    def _owner(self, region, active):
+        known = active & (region != NONE)
+        return dr.select(known, dr.gather(mi.UInt32, self.owner, region, known), NONE)
 
     def squared_index(self, region):
         """Square of the index of refraction of regions."""
@@ -127,6 +136,7 @@ def read(scene, tolerance, kept, straight=False):
         straight=lanes.array(mi.UInt32, [(body in passed) * (ONCE if body.refracts else 1) for body in bodies]) if passed else None,
         passed=passed,
         others=others,
+        obstacles=_obstacles(others),
         key=key,
         mirrors=_per_shape(scene, mi.Float, 0, {_shape_id(shape): _extent(shape) for shape in others if _is_mirror(shape)})
         if any(map(_is_mirror, others)) else None,
@@ -151,6 +161,19 @@ def _indices(bodies, regions):
                 index[body.inside] = around * (body.eta if body.refracts else 1.0)
                 known.add(body.inside)
     return index
+
+
+def _obstacles(others):
+    """A tuple that changes with the place and form of shapes; None if there is one of a kind for which that is not known."""
+    out = []
+    for shape in others:
+        if shape.is_mesh():
+            out += fingerprint(shape.faces_buffer(), shape.vertex_positions_buffer())
+        elif shape.class_name() in shapes.PROBES:
+            out += np.array(mi.traverse(shape)["to_world"].matrix).ravel().tolist()
+        else:
+            return None
+    return tuple(out)
 
 
 def _per_shape(scene, kind, default, values):

@@ -129,7 +129,7 @@ def levels(body, least_turn, most_turn):
     inwards = np.einsum("fi,fi->f", winding, body.normals) < 0
     faces = np.take_along_axis(body.faces, np.where(inwards[:, None], [0, 2, 1], [0, 1, 2]), axis=1)
     twin = mesh_facts.twins(faces)
-    if twin is None:
+    if twin is None or (twin == np.arange(len(twin))).any():
         return own
     vertices, normals = (np.zeros((faces.max() + 1, 3)) for _ in range(2))
     vertices[body.faces], normals[body.faces] = body.corners, body.corner_normals
