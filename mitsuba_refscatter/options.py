@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field, fields
 
+from .spelling import advice
+
 
 class OptionError(ValueError):
     """A property with a value or type that the integrator does not take."""
@@ -90,18 +92,22 @@ def read(props, kind=Options):
             )
         choices, bounds = option.metadata.get("choices"), option.metadata.get("range")
         if choices and value not in choices:
-            raise OptionError(f'{plugin}: property "{option.name}" is {value!r}: it must be {" or ".join(choices)}')
+            raise OptionError(f'{plugin}: property "{option.name}" is {value!r}: {advice(value, choices)}')
         if bounds and not bounds[0] <= value <= bounds[1]:
             raise OptionError(
                 f'{plugin}: property "{option.name}" is {value}: it must lie in [{bounds[0]}, {bounds[1]}]'
             )
         values[option.name] = value
+    for name in props.unqueried():
+        if props.type(name) != props.Type.Object:
+            known = [option.name for option in fields(kind)]
+            raise OptionError(f'{plugin}: there is no property "{name}": {advice(name, known)}')
     options = kind(**values)
     if isinstance(options, Options) and options.samples and options.estimator == "curve":
         raise OptionError('refscatter: property "samples" has no meaning for the estimator curve: remove it')
     for name in aov_list(options):
         if name not in AOVS:
-            raise OptionError(f'{plugin}: property "aovs" names {name!r}: known are {", ".join(AOVS)}')
+            raise OptionError(f'{plugin}: property "aovs" names {name!r}: {advice(name, AOVS)}')
     return options
 
 

@@ -94,20 +94,34 @@ def rgb_of(bitmap) -> Optional[np.ndarray]:
     return np.array(main.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False))
 
 
-def write_image(path, image, factor: Optional[float] = None) -> tuple[Path, Optional[Path]]:
+def about(integrator, scene: str, spp: int, seed: Optional[int] = None) -> dict:
+    """What an EXR's header says of the image: the integrator with its settings, the scene (a name, no path), samples per
+    pixel, the seed where there is one, versions and variant."""
+    import mitsuba as mi
+
+    import mitsuba_refscatter
+
+    said = {"integrator": str(integrator), "scene": scene, "spp": int(spp), "seed": seed, "variant": mi.variant(),
+            "mitsuba": mi.__version__, "refscatter": mitsuba_refscatter.__version__}  # fmt: skip
+    return {key: value for key, value in said.items() if value is not None}
+
+
+def write_image(path, image, factor: Optional[float] = None, header: Optional[dict] = None):
     """Write ``image`` to ``path`` (EXR, all channels with their names) and a PNG beside it.
 
     ``image`` is a ``mi.Bitmap`` (``film.bitmap()``) or an array (height, width, 1 to 4). Both
     files are written under hidden names and renamed at the end, so that a failure leaves
     earlier pictures as they were. The PNG shows the image times ``factor`` (None: the 97th percentile of
     the luminance of lit pixels at 0.8), in sRGB; there is none (None) if the image has no RGB or grey channels.
-    Returns the two paths.
+    ``header``: attributes that the EXR gets, as of ``about``. Returns the two paths.
     """
     import mitsuba as mi
 
     path = target(path)
     bitmap = image if isinstance(image, mi.Bitmap) else mi.Bitmap(np.asarray(image, dtype=np.float32))
     rgb = rgb_of(bitmap)
+    for key, value in (header or {}).items():
+        bitmap.metadata()[key] = value
     write_file(path, lambda unfinished: bitmap.write(str(unfinished)))
     if rgb is None:
         return path, None

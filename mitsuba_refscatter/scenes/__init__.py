@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from ..spelling import advice
 from .bodies import amber, bumpy_sphere, rounded_cube, sphere
 from .branches import branches
 from .ply import write_ply
@@ -50,7 +51,7 @@ def scene_names() -> list[str]:
 def make_body(name: str, triangles: int | None = None):
     """Return ``(vertices, faces, normals)`` of a body, with about ``triangles`` triangles."""
     if name not in BODIES:
-        raise BodyError(f"there is no scene '{name}': choose one of {', '.join(BODIES)}")
+        raise BodyError(f"there is no scene '{name}': {advice(name, BODIES)}")
     wanted = SCENES[name].triangles if triangles is None else triangles
     if not 1 <= wanted <= MAX_TRIANGLES:
         raise BodyError(f"{wanted} triangles asked for: give a number from 1 to {MAX_TRIANGLES}")
