@@ -27,8 +27,8 @@ out = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty()
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 debug = False
 """Whether errors are shown with their tracebacks: the option ``--debug``."""
-UsageError: type[Exception] = typer.BadParameter.__base__
-"""Click's, or that of the copy of it that newer typers bring."""
+UsageError = typer.BadParameter.__bases__[0]
+"""Click's, or that of the copy of it that newer versions of typer hold."""
 QUIET = typer.Option(False, "--quiet", help="Print errors only.")
 
 
@@ -144,7 +144,11 @@ def progress(what: str, total: Optional[float] = 1.0, quiet: bool = False):
 
 
 def cause(error: BaseException) -> str:
-    """Mitsuba's message on one line, without source positions and the traceback of a Python plugin."""
+    """Mitsuba's message on one line, without source positions and the traceback of a Python plugin.
+
+    >>> cause(RuntimeError("[parser.cpp:12] Found an error:\\n  - float"))
+    'Found an error: float'
+    """
     text = str(error)
     before, traceback, after = text.partition("Traceback (most recent call last):")
     if traceback:
@@ -157,7 +161,11 @@ def cause(error: BaseException) -> str:
 
 
 def defines(pairs: list[str]) -> dict[str, str]:
-    """What the options ``-D`` say."""
+    """What the options ``-D`` say; typer's ``BadParameter`` where one is not of the form NAME=VALUE.
+
+    >>> defines(["res=64", "file=a=b.exr"])
+    {'res': '64', 'file': 'a=b.exr'}
+    """
     values = {}
     for pair in pairs:
         name, equals, value = pair.partition("=")

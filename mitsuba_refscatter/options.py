@@ -78,7 +78,18 @@ AOVS = {
 
 
 def read(props, kind=Options):
-    """Reads options of a ``kind`` from ``mi.Properties``; raises ``OptionError`` for a wrong type or value."""
+    """Reads options of a ``kind`` from ``mi.Properties``; raises ``OptionError`` for an unknown name, a wrong type or value.
+
+    >>> props = mi.Properties("refscatter")
+    >>> props["tolerance"] = 0.1
+    >>> read(props).tolerance, read(props).estimator
+    (0.1, 'curve')
+    >>> props["estimator"] = "curv"
+    >>> read(props)
+    Traceback (most recent call last):
+        ...
+    mitsuba_refscatter.options.OptionError: refscatter: property "estimator" is 'curv': did you mean curve? Known are curve, interval, point
+    """
     plugin, values = props.plugin_name(), {}
     for option in fields(kind):
         if option.name not in props:
@@ -115,5 +126,9 @@ _KINDS = {float: "float", int: "integer", str: "string", bool: "boolean"}
 
 
 def aov_list(options):
-    """Names in the property ``aovs``."""
+    """Names in the property ``aovs``.
+
+    >>> aov_list(Options(aovs="surfaces, candidates"))
+    ['surfaces', 'candidates']
+    """
     return [name.strip() for name in options.aovs.split(",") if name.strip()]

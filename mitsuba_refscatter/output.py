@@ -33,7 +33,7 @@ def target(path) -> Path:
 
 
 def directory(path) -> Path:
-    """Make a directory and return it, once it is certain that files can be made there."""
+    """Make a directory and return it, once it is certain that files can be made there; else ``OutputError``."""
     path = Path(path)
     probe = _beside(path / "probe")
     try:
@@ -64,9 +64,12 @@ def write_file(path, write) -> None:
 
 
 def exposure(rgb: np.ndarray) -> float:
-    """Return the factor that shows the 97th percentile of the luminance of lit pixels at 0.8.
+    """Return the factor that shows the 97th percentile of the luminance of lit pixels (H, W, 3) at 0.8.
 
     Black and non-finite pixels have no say; an image without light gets 1.
+
+    >>> round(exposure(np.full((4, 4, 3), 4.0)), 3)
+    0.2
     """
     luminance = rgb @ np.array([0.2126, 0.7152, 0.0722])
     lit = luminance[np.isfinite(luminance) & (luminance > 0.0)]
@@ -75,7 +78,11 @@ def exposure(rgb: np.ndarray) -> float:
 
 def tone_map(rgb: np.ndarray, factor: Optional[float] = None) -> np.ndarray:
     """Return 8-bit sRGB: the linear image times ``factor`` (None: its ``exposure``), clipped, then the sRGB curve. Non-finite
-    is black."""
+    is black.
+
+    >>> tone_map(np.array([[[0.0, 0.5, 1.0], [2.0, np.nan, 0.0]]]), factor=1.0).tolist()
+    [[[0, 188, 255], [255, 0, 0]]]
+    """
     rgb = np.asarray(rgb, dtype=np.float64)
     factor = exposure(rgb) if factor is None else factor
     linear = np.clip(np.nan_to_num(rgb * factor, nan=0.0, posinf=0.0, neginf=0.0), 0.0, 1.0)
@@ -84,7 +91,7 @@ def tone_map(rgb: np.ndarray, factor: Optional[float] = None) -> np.ndarray:
 
 
 def rgb_of(bitmap) -> Optional[np.ndarray]:
-    """The main image of a bitmap as linear RGB, or None if it has none (a film of raw spectral channels)."""
+    """The main image of a bitmap as linear RGB (H, W, 3), or None if it has none (a film of raw spectral channels)."""
     import mitsuba as mi
 
     images = dict(bitmap.split())

@@ -59,7 +59,11 @@ class Report:
 
 
 def is_supported(variant: str) -> bool:
-    """Whether refscatter is written for this kind of variant, whatever the machine."""
+    """Whether refscatter is written for this kind of variant, whatever the machine.
+
+    >>> [is_supported(name) for name in ("llvm_ad_rgb", "cuda_ad_spectral", "scalar_rgb", "llvm_ad_rgb_polarized")]
+    [True, True, False, False]
+    """
     return _refusal(variant) is None
 
 

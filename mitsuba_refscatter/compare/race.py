@@ -34,7 +34,7 @@ FLAT = 0.25
 
 @dataclass(frozen=True)
 class Setup:
-    """What all methods have in common."""
+    """What all methods have in common. ``seconds``: wall time of each; ``variant``: Mitsuba's."""
 
     variant: str
     seconds: float = 10.0
@@ -44,6 +44,7 @@ class Setup:
 
     @property
     def common(self):
+        """Properties of all integrators of this package here."""
         return {"surfaces": False, "internal_bounces": self.internal_bounces, "tolerance": self.tolerance}
 
 
@@ -186,7 +187,12 @@ POWERS = {"volpath": 1.0}
 
 def seconds_to(curve, error, power=None):
     """When a curve of (seconds, error) is at an error for good, and whether that was extrapolated: with a known ``power`` of time,
-    or that by which it fell over the last eighth of the time onwards. ``(None, True)`` where it hardly falls."""
+    or that by which it fell over the last eighth of the time onwards. ``(None, True)`` where it hardly falls.
+
+    >>> curve = [(1.0, 0.4), (2.0, 0.2), (4.0, 0.1), (8.0, 0.05)]
+    >>> seconds_to(curve, 0.1), seconds_to(curve, 0.025, power=1.0)
+    ((4.0, False), (16.0, True))
+    """
     import numpy as np
 
     t, e = np.array(curve).T
