@@ -147,9 +147,10 @@ def _write(directory, outcomes, quiet, summary=""):
         factor = output.exposure(outcome.reference)
         where = directory / outcome.subject.name if summary else directory
         output.directory(where)
-        output.write_image(where / "reference.exr", outcome.reference, factor)
+        header = output.about(outcome.about, outcome.subject.name)
+        output.write_image(where / "reference.exr", outcome.reference, factor, header)
         for run in outcome.runs:
-            header = output.about(json.dumps(run.settings), outcome.subject.name, run.samples)
+            header = output.about(json.dumps(run.settings), outcome.subject.name, run.samples, run.seed)
             output.write_image(where / f"{run.method}.exr", run.image, factor, header)
     rows = [row for outcome in outcomes for row in outcome.rows]
     path = results.write(directory, rows)

@@ -101,14 +101,14 @@ def rgb_of(bitmap) -> Optional[np.ndarray]:
     return np.array(main.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False))
 
 
-def about(integrator, scene: str, spp: int, seed: Optional[int] = None) -> dict:
+def about(integrator, scene: str, spp: Optional[int] = None, seed: Optional[int] = None) -> dict:
     """What an EXR's header says of the image: the integrator with its settings, the scene (a name, no path), samples per
-    pixel, the seed where there is one, versions and variant."""
+    pixel and seed where they are known, versions and variant."""
     import mitsuba as mi
 
     import mitsuba_refscatter
 
-    said = {"integrator": str(integrator), "scene": scene, "spp": int(spp), "seed": seed, "variant": mi.variant(),
+    said = {"integrator": str(integrator), "scene": scene, "spp": spp, "seed": seed, "variant": mi.variant(),
             "mitsuba": mi.__version__, "refscatter": mitsuba_refscatter.__version__}  # fmt: skip
     return {key: value for key, value in said.items() if value is not None}
 

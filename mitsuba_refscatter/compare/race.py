@@ -7,6 +7,7 @@ not scattered in the media), and not timed. Clocks stand still while images are 
 
 import time
 from dataclasses import dataclass, field
+from typing import Optional
 
 from . import methods, metrics
 
@@ -50,11 +51,13 @@ class Setup:
 
 @dataclass
 class Run:
-    """What a method did. ``curve``: (wall seconds, relMSE) on the way; ``image`` after the time was up."""
+    """What a method did. ``curve``: (wall seconds, relMSE) on the way; ``image`` after the time was up; ``seed``: None where it is
+    made with many."""
 
     method: str
     settings: dict
     image: object = None
+    seed: Optional[int] = None
     samples: int = 0
     wall_seconds: float = 0.0
     cpu_seconds: float = 0.0
@@ -138,7 +141,7 @@ def _ours(scene, run, truth, seconds, wanted, report, seed=1):
     """A method of this package."""
     import mitsuba as mi
 
-    integrator, start = mi.load_dict(run.settings), time.perf_counter()
+    integrator, start, run.seed = mi.load_dict(run.settings), time.perf_counter(), seed
     integrator.watch = lambda samples, image: 1 if samples < 2 else 0
     integrator.render(scene, seed=0, spp=ENDLESS)
     run.warm_up_seconds = time.perf_counter() - start
