@@ -24,6 +24,7 @@ class Air:
     wavelengths: object
 
     def at(self, segment):
+        """Those of the camera segments ``segment`` (indices)."""
         return replace(self, wavelengths=lanes.of(self.wavelengths, segment))
 
     def follow(self, start, direction, distance, region, active=True):
@@ -101,6 +102,7 @@ class Arrival:
     body: object
 
     def at(self, segment):
+        """What arrives on account of the camera segments ``segment`` (indices)."""
         inner = None if self.inner is None else self.inner.at(segment)
         source = replace(self.source, L=lanes.of(self.source.L, segment))
         return replace(self, inner=inner, source=source, air=self.air.at(segment))

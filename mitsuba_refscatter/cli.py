@@ -1,11 +1,12 @@
 """The command ``refscatter``: render, compare, check, supported, scenes, scaling, convergence, equal-error,
 tradeoff.
 
-Errors are one sentence on stderr and exit code 1 (usage: 2, Ctrl-C: 130, SIGTERM: 143).
+Errors are one sentence on stderr; the exit codes stand at the end of ``refscatter --help``.
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 from typing import List, Optional  # noqa: UP035 - typer reads these on Python 3.9
@@ -13,18 +14,32 @@ from typing import List, Optional  # noqa: UP035 - typer reads these on Python 3
 import typer
 from rich.table import Table
 
-from . import comparing, measuring, output, platform
+from . import comparing, console, measuring, output, platform
 from . import scenes as scene_files
-from .console import Failure, cause, defines, err, load, out, plainly, progress_bar, stop_on_sigterm
+from .console import (
+    QUIET,
+    Failure,
+    UsageError,
+    cause,
+    defines,
+    err,
+    load,
+    out,
+    plainly,
+    progress,
+    stop_on_sigterm,
+    tell_usage,
+)
 
 app = typer.Typer(
     add_completion=False,
-    no_args_is_help=True,
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    help="Volume caustics without noise, for Mitsuba 3.",
+    epilog="Exit codes: 0 done, 1 error, 2 wrong usage, 130 Ctrl-C, 143 SIGTERM.",
 )
 _OURS = ("RefscatterIntegrator[", "StraightIntegrator[", "PhotonIntegrator[")
 _WRAPPERS = ("AOVIntegrator", "MomentIntegrator")
+SEED = 0
 
 
 def _is_ours(integrator) -> bool:
@@ -49,13 +64,28 @@ def _integrator(scene, say):
 def _render(scene, integrator, spp: int, quiet: bool):
     """Render and return the film's bitmap, all channels."""
     sensor = scene.sensors()[0]
-    with progress_bar(quiet) as bar:
-        task = bar.add_task("rendering", total=None if not hasattr(integrator, "progress") else 1.0)
-        if hasattr(integrator, "progress"):
-            integrator.progress = lambda fraction: bar.update(task, completed=fraction)
+    tells = hasattr(integrator, "progress")
+    with progress("rendering", 1.0 if tells else None, quiet) as tell:
+        if tells:
+            integrator.progress = tell
         # Not mi.render: it hides what an integrator raises, Ctrl-C included, behind its own error.
-        integrator.render(scene, sensor=sensor, seed=0, spp=spp, develop=False)
+        integrator.render(scene, sensor=sensor, seed=SEED, spp=spp, develop=False)
         return sensor.film().bitmap()
+
+
+@app.callback(invoke_without_command=True)
+def shared(
+    context: typer.Context,
+    debug: bool = typer.Option(False, "--debug", help="Show tracebacks of errors; stands before the command."),
+):
+    """Volume caustics without noise, for Mitsuba 3.
+
+    Example: refscatter render scenes/sphere/scene.xml -s 16 -o sphere.exr
+    """
+    console.debug = debug
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+        raise typer.Exit(2)
 
 
 @app.command()
@@ -68,13 +98,15 @@ def render(
     variant: Optional[str] = typer.Option(
         None, "-m", "--mode", help="Mitsuba variant. [default: the first usable of cuda_ad_rgb, llvm_ad_rgb]"
     ),
-    spp: int = typer.Option(0, "-s", "--spp", min=0, help="Samples per pixel; 0 leaves it to the scene."),
+    spp: int = typer.Option(0, "-s", "--spp", "--samples", min=0, help="Samples per pixel; 0 leaves it to the scene."),
     define: List[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),  # noqa: UP006
-    quiet: bool = typer.Option(False, "--quiet", help="Print errors only."),
+    quiet: bool = QUIET,
 ):
     """Render a scene file to an EXR and a tone-mapped PNG.
 
     The scene's own integrator is used if it is refscatter, otherwise refscatter takes its place.
+
+    Example: refscatter render scenes/sphere/scene.xml -s 16 -D res=256
     """
     values = defines(define)
     # Before Mitsuba touches LLVM: an unsuitable one can end the process.
@@ -97,7 +129,8 @@ def render(
         bitmap = _render(loaded, integrator, spp, quiet)
     except (RuntimeError, ValueError, TypeError) as error:
         raise Failure(cause(error)) from error
-    written = output.write_image(path, bitmap)
+    header = output.about(integrator, scene.name, spp or loaded.sensors()[0].sampler().sample_count(), SEED)
+    written = output.write_image(path, bitmap, header=header)
     if not quiet:
         err.print(f"Done in {time.perf_counter() - start:.1f} s:")
         for name in written:
@@ -108,7 +141,10 @@ def render(
 @app.command()
 @plainly
 def check():
-    """Say what is installed, what is usable and what to do about what isn't."""
+    """Say what is installed, what is usable and what to do.
+
+    Example: refscatter check
+    """
     report = platform.report()
     table = Table.grid(padding=(0, 2))
     table.add_row("Mitsuba", report.mitsuba)
@@ -129,7 +165,10 @@ def check():
 @app.command()
 @plainly
 def supported():
-    """Print what a scene may hold and what is refused, as a table in Markdown."""
+    """Print what a scene may hold and what is refused.
+
+    Example: refscatter supported > table.md
+    """
     from .scene import support
 
     print(support.table())
@@ -138,7 +177,7 @@ def supported():
 @app.command()
 @plainly
 def scenes(
-    name: Optional[str] = typer.Argument(None, metavar="[NAME]", help="Scene to write; none lists them."),
+    name: Optional[str] = typer.Argument(None, metavar="NAME", help="Scene to write; none lists them."),
     triangles: Optional[int] = typer.Option(
         None, "--triangles", min=1, help="Triangles of the body; the nearest possible number is taken."
     ),
@@ -146,14 +185,18 @@ def scenes(
         None, "-o", "--output", help="Directory for scene.xml and meshes/. [default: NAME, here]"
     ),
 ):
-    """List the scenes made by code, or write one as XML and mesh."""
+    """List the scenes made by code, or write one as XML and mesh.
+
+    Example: refscatter scenes bumpy_sphere --triangles 5120 -o out
+    """
     if name is None:
         for key, scene in scene_files.SCENES.items():
             out.print(f"{key:13} {scene.triangles:6} triangles  {' '.join(scene.comment.split())}", markup=False)
         return
     directory = Path(name) if directory is None else directory
     try:
-        path, count = scene_files.write_scene(name, directory, triangles)
+        with progress("writing", None):
+            path, count = scene_files.write_scene(name, directory, triangles)
     except OSError as error:
         raise Failure(f"nothing can be written in {directory}: {error.strerror}") from error
     out.print(f"{path}  ({count} triangles)", markup=False)
@@ -165,4 +208,9 @@ app.registered_commands += comparing.app.registered_commands + measuring.app.reg
 def main() -> None:
     """Run the command and leave the process with its exit code."""
     stop_on_sigterm()
-    app(prog_name="refscatter")
+    try:
+        code = app(prog_name="refscatter", standalone_mode=False)
+    except UsageError as error:
+        tell_usage(error)
+        code = 2
+    sys.exit(code)

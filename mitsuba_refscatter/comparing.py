@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Optional
 
 import typer
-from rich.markup import escape
 
 from . import output
 from . import scenes as scene_files
 from .compare import duel, race, report, results
 from .compare import suite as suites
 from .compare.methods import METHODS
-from .console import Failure, cause, defines, known, load, measurable, out, plainly, progress_bar, require, table
+from .console import QUIET, Failure, cause, defines, known, load, measurable, out, plainly, progress, require, table
 
 app = typer.Typer()
 
@@ -23,10 +23,13 @@ app = typer.Typer()
 @app.command()
 @plainly
 def compare(
-    scene: Optional[Path] = typer.Argument(None, metavar="[SCENE]", help="Scene file in Mitsuba's XML."),
+    scene: Optional[Path] = typer.Argument(None, metavar="SCENE", help="Scene file in Mitsuba's XML."),
     directory: Path = typer.Option(..., "-o", "--output", help="Directory for report.html, results.json and images."),
     names: str = typer.Option(
-        ",".join(METHODS), "--methods", help="Methods, comma-separated; the first sets the quality."
+        ",".join(METHODS),
+        "--methods",
+        help="Comma-separated; the first sets the quality.",
+        show_default=", ".join(METHODS),
     ),
     seconds: float = typer.Option(10.0, "--seconds", min=0.1, help="Wall time of each method, after its warm-up."),
     reference: Optional[Path] = typer.Option(
@@ -45,10 +48,11 @@ def compare(
     resolution: int = typer.Option(128, "--resolution", min=1, help="Pixels on a side, of the suite's scenes."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant (rgb)."),
     define: list[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),
+    quiet: bool = QUIET,
 ):
     """Compare methods on a scene at equal time.
 
-    Example: refscatter compare scenes/bumpy_sphere/scene.xml --seconds 5 -D res=128 -o out
+    Example: refscatter compare scenes/sphere/scene.xml --seconds 5 -o out
     """
     if suite == (scene is not None):
         raise typer.BadParameter("give a scene file or --suite", param_hint="SCENE")
@@ -64,18 +68,18 @@ def compare(
 
     values, setup = defines(define), race.Setup(variant, seconds, bounces, tolerance, equal_quality)
     if scene is None:
-        _suite(directory, methods, setup, resolution)
+        _suite(directory, methods, setup, resolution, quiet)
         return
     name = scene.resolve().parent.name if scene.stem == "scene" else scene.stem
     try:
         subject = replace(duel.Subject.of(name, lambda: load(scene, values)), shipped=scene_files.made_as(scene))
-        outcome = _run(subject, methods, setup, None if reference is None else _image_at(reference))
+        outcome = _run(subject, methods, setup, quiet, None if reference is None else _image_at(reference))
     except (RuntimeError, ValueError, TypeError) as error:
         raise Failure(cause(error)) from error
-    _write(directory, [outcome])
+    _write(directory, [outcome], quiet)
 
 
-def _suite(directory, methods, setup, resolution):
+def _suite(directory, methods, setup, resolution, quiet):
     """All cases, of each those of the ``methods`` that it is for."""
     outcomes = []
     with tempfile.TemporaryDirectory() as files:
@@ -83,8 +87,8 @@ def _suite(directory, methods, setup, resolution):
             wanted = [name for name in methods if name in case.methods]
             if methods[0] in wanted:  # which sets the quality
                 of_case = replace(setup, internal_bounces=case.internal_bounces)
-                outcomes.append(_run(case.subject(files, resolution), wanted, of_case))
-                _write(directory, outcomes, suites.summary(outcomes))
+                outcomes.append(_run(case.subject(files, resolution), wanted, of_case, quiet))
+                _write(directory, outcomes, quiet, suites.summary(outcomes))
 
 
 def _image_at(path):
@@ -102,17 +106,24 @@ def _image_at(path):
     return np.asarray(found, dtype=np.float64)
 
 
-def _run(subject, methods, setup, reference=None):
+def _run(subject, methods, setup, quiet, reference=None):
     """``duel.compare`` with a progress bar, and its table."""
     total = len(methods) + (race.REFERENCE_TIME if reference is None else 0)
-    with progress_bar() as bar:
-        task, done, weight = bar.add_task(escape(subject.name), total=total), {}, {"reference": race.REFERENCE_TIME}
+    with progress(subject.name, total, quiet) as tell:
+        done, weight = {}, {"reference": race.REFERENCE_TIME}
 
-        def tell(stage, fraction):
+        def report(stage, fraction):
             done[stage] = weight.get(stage, 1.0) * fraction
-            bar.update(task, description=f"{escape(subject.name)}: {stage}", completed=sum(done.values()))
+            tell(sum(done.values()), f"{subject.name}: {stage}")
 
-        outcome = duel.compare(subject, methods, setup, reference, tell)
+        outcome = duel.compare(subject, methods, setup, reference, report)
+    if not quiet:
+        _show(outcome, methods)
+    return outcome
+
+
+def _show(outcome, methods):
+    """Prints the table of an outcome."""
     shown = table(
         "method", "samples", "wall s", "warm-up s", "relMSE", "L1", "p99", "bias", "FLIP", f"s to {methods[0]}"
     )
@@ -125,21 +136,24 @@ def _run(subject, methods, setup, reference=None):
         shown.add_row(row["method"], str(row["samples"]), f"{row['wall_seconds']:.2f}", f"{row['warm_up_seconds']:.1f}",
                       *(f"{row[key]:.2e}" for key in ("relmse", "mean_relative_error", "p99_relative_error")),
                       f"{row['bias']:+.1e}", f"{row['flip']:.3f}", to_first)  # fmt: skip
+    subject = outcome.subject
     out.print(f"{subject.name}, {subject.triangles} triangles; reference: {outcome.about}", markup=False)
     out.print(shown)
-    return outcome
 
 
-def _write(directory, outcomes, summary=""):
+def _write(directory, outcomes, quiet, summary=""):
     """Images of the last outcome, results and report of all."""
     for outcome in outcomes[-1:]:
         factor = output.exposure(outcome.reference)
         where = directory / outcome.subject.name if summary else directory
         output.directory(where)
-        output.write_image(where / "reference.exr", outcome.reference, factor)
+        header = output.about(outcome.about, outcome.subject.name)
+        output.write_image(where / "reference.exr", outcome.reference, factor, header)
         for run in outcome.runs:
-            output.write_image(where / f"{run.method}.exr", run.image, factor)
+            header = output.about(json.dumps(run.settings), outcome.subject.name, run.samples, run.seed)
+            output.write_image(where / f"{run.method}.exr", run.image, factor, header)
     rows = [row for outcome in outcomes for row in outcome.rows]
     path = results.write(directory, rows)
     report.write(directory / "report.html", outcomes, results.machine(), summary)
-    out.print(str(directory / "report.html"), str(path), sep="\n", markup=False)
+    if not quiet:
+        out.print(str(directory / "report.html"), str(path), sep="\n", markup=False)

@@ -1,26 +1,35 @@
-"""What all commands share: consoles, tables, and errors told in one sentence."""
+"""What all commands share: consoles, tables, progress bars, and errors told in one sentence."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib.util
 import re
 import signal
 import sys
+import traceback
 from pathlib import Path
 from typing import Optional
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from . import meshcheck, output, platform
 from . import scenes as scene_files
+from .spelling import advice, near
 
 WIDE = 160  # columns of tables that go to a file
 out = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else WIDE)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
+debug = False
+"""Whether errors are shown with their tracebacks: the option ``--debug``."""
+UsageError = typer.BadParameter.__bases__[0]
+"""Click's, or that of the copy of it that newer versions of typer hold."""
+QUIET = typer.Option(False, "--quiet", help="Print errors only.")
 
 
 class Failure(Exception):
@@ -50,20 +59,39 @@ _EXPECTED = (
 
 
 def plainly(command):
-    """Let a command end with one sentence and an exit code instead of a traceback."""
+    """Let a command end with one sentence and an exit code; a traceback comes before only with ``--debug``."""
 
     @functools.wraps(command)
     def wrapped(*args, **kwargs):
         try:
             return command(*args, **kwargs)
         except KeyboardInterrupt as stop:
-            err.print("refscatter: stopped; nothing was written")
+            err.print("refscatter: stopped; no file is left unfinished")
             raise typer.Exit(143 if isinstance(stop, Terminated) else 130) from None
-        except _EXPECTED as error:
-            err.print(f"refscatter: {error}", markup=False)
+        except (typer.Exit, UsageError, BrokenPipeError):
+            raise
+        except Exception as error:
+            if debug:
+                err.print("".join(traceback.format_exception(type(error), error, error.__traceback__)), markup=False)
+            if isinstance(error, _EXPECTED):
+                err.print(f"refscatter: {error}", markup=False)
+            else:
+                err.print(f"refscatter: {type(error).__name__}, which should not happen: {cause(error)}", markup=False)
+                err.print("Where it came from: refscatter --debug ...")
             raise typer.Exit(1) from None
 
     return wrapped
+
+
+def tell_usage(error) -> None:
+    """Say in one line what is wrong with the arguments of a command, and in another where its help is."""
+    text = " ".join(error.format_message().split()).rstrip(".")
+    context = error.ctx
+    if context is not None and hasattr(error, "option_name") and hasattr(error, "possibilities"):
+        known = [name for option in context.command.get_params(context) for name in option.opts]
+        text = f"there is no option {error.option_name}: {near(error.option_name, known)}".rstrip(": ")
+    err.print(f"refscatter: {text[:1].lower()}{text[1:]}", markup=False)
+    err.print(f"Try: {context.command_path if context is not None else 'refscatter'} --help", markup=False)
 
 
 def require(*modules: str) -> None:
@@ -77,7 +105,7 @@ def known(names: list[str], known, option: str, kind: str) -> list[str]:
     """The names, each once, if all of them are known."""
     for name in names:
         if name not in known:
-            raise typer.BadParameter(f"there is no {kind} '{name}': known are {', '.join(known)}", param_hint=option)
+            raise typer.BadParameter(f"there is no {kind} '{name}': {advice(name, known)}", param_hint=option)
     return list(dict.fromkeys(names))
 
 
@@ -98,23 +126,29 @@ def table(*headings: str) -> Table:
     return out
 
 
-def progress_bar(quiet: bool = False) -> Progress:
-    """A bar on stderr with the time left, gone at the end; none where that is no terminal."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=err,
-        disable=quiet or not err.is_terminal,
-        transient=True,
-    )
+@contextlib.contextmanager
+def progress(what: str, total: Optional[float] = 1.0, quiet: bool = False):
+    """A bar on stderr with the time left, gone at the end; none where that is no terminal.
+
+    Gives ``tell(completed, what)``: how much of ``total`` is done (None: not known how much there is), and of what, if that changes.
+    """
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"),
+               TimeRemainingColumn())  # fmt: skip
+    with Progress(*columns, console=err, disable=quiet or not err.is_terminal, transient=True) as bar:
+        task = bar.add_task(escape(what), total=total)
+
+        def tell(completed: float, what: Optional[str] = None):
+            bar.update(task, completed=completed, description=None if what is None else escape(what))
+
+        yield tell
 
 
 def cause(error: BaseException) -> str:
-    """Mitsuba's message on one line, without source positions and the traceback of a Python plugin."""
+    """Mitsuba's message on one line, without source positions and the traceback of a Python plugin.
+
+    >>> cause(RuntimeError("[parser.cpp:12] Found an error:\\n  - float"))
+    'Found an error: float'
+    """
     text = str(error)
     before, traceback, after = text.partition("Traceback (most recent call last):")
     if traceback:
@@ -127,7 +161,11 @@ def cause(error: BaseException) -> str:
 
 
 def defines(pairs: list[str]) -> dict[str, str]:
-    """What the options ``-D`` say."""
+    """What the options ``-D`` say; typer's ``BadParameter`` where one is not of the form NAME=VALUE.
+
+    >>> defines(["res=64", "file=a=b.exr"])
+    {'res': '64', 'file': 'a=b.exr'}
+    """
     values = {}
     for pair in pairs:
         name, equals, value = pair.partition("=")

@@ -11,6 +11,7 @@ class Kept:
         self._now, self._before = {}, {}
 
     def next_round(self):
+        """Drops what the last round did not ask for."""
         self._now, self._before = {}, self._now
 
     def once(self, make, *key):

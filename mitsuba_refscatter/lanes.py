@@ -66,7 +66,11 @@ def chosen(*masks):
 
 
 def repeat(counts):
-    """For numbers (NumPy, integers) of things that each of several parents has: per thing its parent and its number there."""
+    """For numbers (NumPy, integers) of things that each of several parents has: per thing its parent and its number there.
+
+    >>> repeat(np.array([2, 0, 3]))
+    ([0, 0, 2, 2, 2], [0, 1, 0, 1, 2])
+    """
     parent = np.repeat(np.arange(len(counts)), counts)
     number = np.arange(len(parent)) - np.repeat(np.cumsum(counts) - counts, counts)
     return array(mi.UInt32, parent), array(mi.UInt32, number)
@@ -78,11 +82,20 @@ def gather(x, index):
 
 
 def of(x, index):
-    """``x`` for the lanes ``index``: itself where it is the same for all lanes, or empty."""
+    """``x`` for the lanes ``index``: itself where it is the same for all lanes, or empty.
+
+    >>> index = mi.UInt32(2, 0)
+    >>> of(mi.Float(1, 2, 3), index), of(mi.Float(7), index)
+    ([3, 1], [7])
+    """
     return x if dr.width(x) <= 1 else gather(x, index)
 
 
 def room(n):
     """The next power of two: a width for sums over ``n`` lanes. Dr.Jit puts the width of what it scatters to into its
-    kernels, which would be new ones for each ``n``."""
+    kernels, which would be new ones for each ``n``.
+
+    >>> [room(n) for n in (1, 2, 3, 1000)]
+    [1, 2, 4, 1024]
+    """
     return 1 << max(0, n - 1).bit_length()

@@ -14,16 +14,23 @@ from .compare import equal_error as equal_error_runs
 from .compare import results
 from .compare import scaling as scaling_runs
 from .compare import tradeoff as tradeoff_runs
-from .console import defines, err, known, load, measurable, out, plainly, require, table
+from .console import QUIET, defines, known, load, measurable, out, plainly, progress, require, table
 
 app = typer.Typer()
 
 
 def _write(directory, name, plot, rows):
-    """Writes a picture and ``results.json`` of all rows so far to a directory; returns both paths as lines."""
+    """Writes a picture and ``results.json`` of all rows so far to a directory; returns both paths."""
     picture = directory / name
     output.write_file(picture, lambda unfinished: plot(rows, unfinished))
-    return f"{picture}\n{results.write(directory, rows)}"
+    return [picture, results.write(directory, rows)]
+
+
+def _show(quiet, shown, lines):
+    """Prints a table and lines below it, unless ``quiet``."""
+    if not quiet:
+        out.print(shown)
+        out.print(*lines, sep="\n", markup=False)
 
 
 @app.command()
@@ -46,8 +53,15 @@ def scaling(
         list(scaling_runs.OURS), "--method", help="Method to compare with volpath; repeatable."
     ),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
+    quiet: bool = QUIET,
 ):
-    """Measure cost against the number of triangles, in samples of volpath on the same machine in the same run."""
+    """Measure cost against triangles, in samples of volpath.
+
+    Example: refscatter scaling --triangles 1280 --triangles 5120 -o out
+    """
+    if quiet and directory is None:
+        raise typer.BadParameter("without -o nothing would be left of the results", param_hint="--quiet")
+    known([scene], scene_files.BODIES, "--scene", "scene")
     methods = known(methods, scaling_runs.OURS, "--method", "method")
     if directory is not None:
         require("matplotlib")
@@ -55,27 +69,32 @@ def scaling(
     shown = table("triangles", "method", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray",
                    "contributing/ray", "L1 error", "first s", "peak MiB")  # fmt: skip
 
-    rows = []
-    for found in scaling_runs.run(triangles, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces,
-                                  tolerance=tolerance, methods=tuple(methods), variant=variant):  # fmt: skip
-        rows += found
-        for row in found[:-1]:
-            memory = row["peak_memory_bytes"]
-            shown.add_row(
-                str(row["triangles"]), row["method"], f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
-                f"{row['volpath_samples_of_same_wall_time']:.0f}", f"{row['volpath_samples_of_same_cpu_time']:.0f}",
-                *("" if row[key] is None else f"{row[key]:.0f}" for key in ("candidates_per_ray", "contributing_per_ray")),
-                f"{row['mean_relative_error']:.1e}", f"{row['first_seconds']:.1f}",
-                "" if memory is None else f"{memory / 2**20:.0f}",
-            )  # fmt: skip
-        if directory is not None:
-            _write(directory, "scaling.png", scaling_runs.plot, rows)
-        err.print(f"{found[0]['triangles']} triangles done")
-    out.print(shown)
-    for (method, key), power in scaling_runs.exponents(rows).items():
-        out.print(f"{method}: {key} grows with triangles^{power:.2f}", markup=False)
-    if directory is not None:
-        out.print(_write(directory, "scaling.png", scaling_runs.plot, rows), markup=False)
+    rows, written = [], []
+    with progress("scaling", len(triangles), quiet) as tell:
+        runs = scaling_runs.run(triangles, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces,
+                                tolerance=tolerance, methods=tuple(methods), variant=variant)  # fmt: skip
+        for number, found in enumerate(runs, 1):
+            rows += found
+            for row in found[:-1]:
+                shown.add_row(*_scaling_cells(row))
+            if directory is not None:
+                written = _write(directory, "scaling.png", scaling_runs.plot, rows)
+            tell(number)
+    grows = [f"{method}: {key} grows with triangles^{power:.2f}"
+             for (method, key), power in scaling_runs.exponents(rows).items()]  # fmt: skip
+    _show(quiet, shown, [*grows, *written])
+
+
+def _scaling_cells(row):
+    """What the table of ``scaling`` shows of a row of results."""
+    memory = row["peak_memory_bytes"]
+    return (
+        str(row["triangles"]), row["method"], f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
+        f"{row['volpath_samples_of_same_wall_time']:.0f}", f"{row['volpath_samples_of_same_cpu_time']:.0f}",
+        *("" if row[key] is None else f"{row[key]:.0f}" for key in ("candidates_per_ray", "contributing_per_ray")),
+        f"{row['mean_relative_error']:.1e}", f"{row['first_seconds']:.1f}",
+        "" if memory is None else f"{memory / 2**20:.0f}",
+    )  # fmt: skip
 
 
 @app.command()
@@ -88,8 +107,12 @@ def convergence(
     resolution: int = typer.Option(32, "--resolution", min=1, help="Pixels on a side."),
     most: int = typer.Option(16384, "--most", min=16, help="Largest number of samples."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
+    quiet: bool = QUIET,
 ):
-    """Plot how the estimators interval and point come to what the curve finds as their samples grow."""
+    """Plot how interval and point come to what the curve finds.
+
+    Example: refscatter convergence --scene bumpy_sphere --most 1024 -o out
+    """
     scenes = known(scenes, scene_files.BODIES, "--scene", "scene")
     variant = measurable(variant, directory)
     require("matplotlib")
@@ -98,12 +121,14 @@ def convergence(
     def add(row):
         shown.add_row(row["scene"], row["method"], str(row["samples"]), f"{row['mean_relative_error']:.1e}",
                       f"{row['bias']:+.1e}", f"{row['wall_seconds']:.2f}")  # fmt: skip
-        err.print(f"{row['scene']}, {row['method']}, {row['samples']} samples done")
+        rows.append(row)
+        tell(len(rows), row["scene"])
 
-    for name in scenes:
-        rows += convergence_runs.run(name, most, add, variant=variant, resolution=resolution)
-    out.print(shown)
-    out.print(_write(directory, "convergence.png", convergence_runs.plot, rows), markup=False)
+    counts = [n for samples in convergence_runs.SAMPLES.values() for n in samples if n <= most]
+    with progress("convergence", len(scenes) * len(counts), quiet) as tell:
+        for name in scenes:
+            convergence_runs.run(name, most, add, variant=variant, resolution=resolution)
+    _show(quiet, shown, _write(directory, "convergence.png", convergence_runs.plot, rows))
 
 
 @app.command()
@@ -121,8 +146,12 @@ def equal_error(
     ),
     seconds: float = typer.Option(40.0, "--seconds", min=0.0, help="Time for which volpath renders each light."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant."),
+    quiet: bool = QUIET,
 ):
-    """Measure the time to an error of the image under area and environment lights, against volpath."""
+    """Measure the time to an error under lights that are no points.
+
+    Example: refscatter equal-error --error 0.05 --resolution 64 -o out
+    """
     variant = measurable(variant, directory)
     require("matplotlib")
     shown = table("light", "method", "samples", "wall s", "error", f"s to {error:.2g}", "times faster")
@@ -137,13 +166,15 @@ def equal_error(
             time_to + (" (extrapolated)" if row["extrapolated"] else ""),
             f"{row['speedup']:.3g}" if "speedup" in row else "",
         )  # fmt: skip
-        err.print(f"{row['light']} {row['radius'] or ''} {row['method']}: {time_to or 'not reached in any'} s")
+        rows.append(row)
+        tell(len(rows), f"{row['light']} {row['method']}")
 
+    rows = []
     setup = equal_error_runs.Setup(variant=variant, error=error, triangles=triangles, resolution=resolution, radius=radius,
                                    radii=tuple(radii), seconds=seconds)  # fmt: skip
-    rows = equal_error_runs.run(setup, add)
-    out.print(shown)
-    out.print(_write(directory, "equal_error.png", equal_error_runs.plot, rows), markup=False)
+    with progress("equal-error", len(radii) + equal_error_runs.OTHER_ROWS, quiet) as tell:
+        equal_error_runs.run(setup, add)
+    _show(quiet, shown, _write(directory, "equal_error.png", equal_error_runs.plot, rows))
 
 
 @app.command()
@@ -159,8 +190,9 @@ def tradeoff(
     choices: bool = typer.Option(True, help="Switch what the tolerance decides singly, too."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant (rgb)."),
     define: list[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),
+    quiet: bool = QUIET,
 ):
-    """Measure error and time over the tolerance, and with each choice that it makes switched.
+    """Measure error and time over the tolerance and its choices.
 
     Example: refscatter tradeoff scenes/sphere/scene.xml -D res=128 -o out
     """
@@ -183,8 +215,7 @@ def tradeoff(
     rows, setup = [], tradeoff_runs.Setup(variant, tuple(tolerance), choices, bounces, samples)
     for path in scene:
         name = path.resolve().parent.name if path.stem == "scene" else path.stem
-        rows += tradeoff_runs.run(name, load(path, defines(define)), setup, add)
+        with progress(name, 1.0, quiet) as tell:
+            rows += tradeoff_runs.run(name, load(path, defines(define)), setup, add, tell)
         written = _write(directory, "tradeoff.png", tradeoff_runs.plot, rows)
-        err.print(f"{name} done", markup=False)
-    out.print(shown)
-    out.print(written, markup=False)
+    _show(quiet, shown, written)

@@ -43,6 +43,10 @@ def refract_in(omega_L, n, eta):
     of travel inside, the cosine outside and the cosine inside. Where there is no refracted ray (total
     reflection, eta < 1) ``c_V`` is 0 and ``omega`` its limit at the critical angle; for ``c_L < 0``
     (unlit) the formula's smooth continuation is returned. Callers test ``c_L`` and ``c_V``.
+
+    >>> omega, c_L, c_V = refract_in(mi.Vector3f(0.6, 0, 0.8), mi.Vector3f(0, 0, 1), mi.Float(1.5))
+    >>> print(f"{omega.x[0]:.3f} {omega.z[0]:.3f}, cosines {c_L[0]:.3f} and {c_V[0]:.3f}")  # sines: 0.6 = 1.5 x 0.4
+    -0.400 -0.917, cosines 0.800 and 0.917
     """
     c_L = dr.dot(omega_L, n)
     c_V = dr.safe_sqrt(inside_cosine2(c_L, eta))
@@ -51,7 +55,11 @@ def refract_in(omega_L, n, eta):
 
 
 def inside_cosine2(c_L, eta):
-    """Square of the cosine inside for the cosine outside (Snell); negative under total reflection."""
+    """Square of the cosine inside for the cosine outside (Snell); negative under total reflection.
+
+    >>> round(inside_cosine2(0.8, 1.5), 4), inside_cosine2(0.0, 0.5)
+    (0.84, -3.0)
+    """
     return 1 - (1 - dr.square(c_L)) / dr.square(eta)
 
 
@@ -67,6 +75,9 @@ def transmission(c_L, c_V, eta):
 
     Written without the division 0/0 at eta = 1, at grazing incidence and at the critical angle:
     ``2 eta c_L^2 [1/(c_L + eta c_V)^2 + 1/(eta c_L + c_V)^2]``. Zero for unlit points.
+
+    >>> round(transmission(1.0, 1.0, 1.5), 3), transmission(0.3, 0.3, 1.0)  # 4 % are reflected by glass, nothing at eta = 1
+    (0.96, 1.0)
     """
     c = dr.maximum(c_L, 0)
     s_wave = dr.rcp(dr.maximum(c + eta * c_V, 1e-12))
@@ -79,6 +90,9 @@ def fresnel(cos_i, eta_ti):
 
     ``cos_i >= 0`` is the cosine on the incident side, ``eta_ti`` the index behind the boundary over that
     before it. Returns ``(F, cos_t)``; under total reflection ``F = 1`` and ``cos_t = 0``.
+
+    >>> [round(float(F), 3) for F, _ in (fresnel(1.0, 1.5), fresnel(0.1, 1.5), fresnel(0.1, 1 / 1.5))]
+    [0.04, 0.572, 1.0]
     """
     sin2_t = (1 - dr.square(cos_i)) / dr.square(eta_ti)
     cos_t = dr.safe_sqrt(1 - sin2_t)
@@ -90,7 +104,11 @@ def fresnel(cos_i, eta_ti):
 
 
 def twice(F):
-    """Reflectance of a thin sheet, whose two boundaries each reflect F, with all reflections between them."""
+    """Reflectance of a thin sheet, whose two boundaries each reflect F, with all reflections between them.
+
+    >>> round(twice(0.04), 3), twice(1.0)
+    (0.077, 1.0)
+    """
     return 2 * F / (1 + F)
 
 
@@ -114,6 +132,10 @@ def isotropic():
 
 
 def henyey_greenstein(cosine, g):
-    """Henyey-Greenstein phase function, 1/sr; ``cosine`` is +1 for forward scattering."""
+    """Henyey-Greenstein phase function, 1/sr; ``cosine`` is +1 for forward scattering.
+
+    >>> round(henyey_greenstein(1.0, 0.5) / isotropic(), 3), round(henyey_greenstein(-1.0, 0.5) / isotropic(), 3)
+    (6.0, 0.222)
+    """
     base = dr.maximum(1 + dr.square(g) - 2 * g * cosine, 1e-9)
     return dr.inv_four_pi * (1 - dr.square(g)) * dr.rsqrt(base) / base

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field, fields
 
+from .spelling import advice
+
 
 class OptionError(ValueError):
     """A property with a value or type that the integrator does not take."""
@@ -76,7 +78,18 @@ AOVS = {
 
 
 def read(props, kind=Options):
-    """Reads options of a ``kind`` from ``mi.Properties``; raises ``OptionError`` for a wrong type or value."""
+    """Reads options of a ``kind`` from ``mi.Properties``; raises ``OptionError`` for an unknown name, a wrong type or value.
+
+    >>> props = mi.Properties("refscatter")
+    >>> props["tolerance"] = 0.1
+    >>> read(props).tolerance, read(props).estimator
+    (0.1, 'curve')
+    >>> props["estimator"] = "curv"
+    >>> read(props)
+    Traceback (most recent call last):
+        ...
+    mitsuba_refscatter.options.OptionError: refscatter: property "estimator" is 'curv': did you mean curve? Known are curve, interval, point
+    """
     plugin, values = props.plugin_name(), {}
     for option in fields(kind):
         if option.name not in props:
@@ -90,18 +103,22 @@ def read(props, kind=Options):
             )
         choices, bounds = option.metadata.get("choices"), option.metadata.get("range")
         if choices and value not in choices:
-            raise OptionError(f'{plugin}: property "{option.name}" is {value!r}: it must be {" or ".join(choices)}')
+            raise OptionError(f'{plugin}: property "{option.name}" is {value!r}: {advice(value, choices)}')
         if bounds and not bounds[0] <= value <= bounds[1]:
             raise OptionError(
                 f'{plugin}: property "{option.name}" is {value}: it must lie in [{bounds[0]}, {bounds[1]}]'
             )
         values[option.name] = value
+    for name in props.unqueried():
+        if props.type(name) != props.Type.Object:
+            known = [option.name for option in fields(kind)]
+            raise OptionError(f'{plugin}: there is no property "{name}": {advice(name, known)}')
     options = kind(**values)
     if isinstance(options, Options) and options.samples and options.estimator == "curve":
         raise OptionError('refscatter: property "samples" has no meaning for the estimator curve: remove it')
     for name in aov_list(options):
         if name not in AOVS:
-            raise OptionError(f'{plugin}: property "aovs" names {name!r}: known are {", ".join(AOVS)}')
+            raise OptionError(f'{plugin}: property "aovs" names {name!r}: {advice(name, AOVS)}')
     return options
 
 
@@ -109,5 +126,9 @@ _KINDS = {float: "float", int: "integer", str: "string", bool: "boolean"}
 
 
 def aov_list(options):
-    """Names in the property ``aovs``."""
+    """Names in the property ``aovs``.
+
+    >>> aov_list(Options(aovs="surfaces, candidates"))
+    ['surfaces', 'candidates']
+    """
     return [name.strip() for name in options.aovs.split(",") if name.strip()]

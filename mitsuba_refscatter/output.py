@@ -33,7 +33,7 @@ def target(path) -> Path:
 
 
 def directory(path) -> Path:
-    """Make a directory and return it, once it is certain that files can be made there."""
+    """Make a directory and return it, once it is certain that files can be made there; else ``OutputError``."""
     path = Path(path)
     probe = _beside(path / "probe")
     try:
@@ -64,9 +64,12 @@ def write_file(path, write) -> None:
 
 
 def exposure(rgb: np.ndarray) -> float:
-    """Return the factor that shows the 97th percentile of the luminance of lit pixels at 0.8.
+    """Return the factor that shows the 97th percentile of the luminance of lit pixels (H, W, 3) at 0.8.
 
     Black and non-finite pixels have no say; an image without light gets 1.
+
+    >>> round(exposure(np.full((4, 4, 3), 4.0)), 3)
+    0.2
     """
     luminance = rgb @ np.array([0.2126, 0.7152, 0.0722])
     lit = luminance[np.isfinite(luminance) & (luminance > 0.0)]
@@ -75,7 +78,11 @@ def exposure(rgb: np.ndarray) -> float:
 
 def tone_map(rgb: np.ndarray, factor: Optional[float] = None) -> np.ndarray:
     """Return 8-bit sRGB: the linear image times ``factor`` (None: its ``exposure``), clipped, then the sRGB curve. Non-finite
-    is black."""
+    is black.
+
+    >>> tone_map(np.array([[[0.0, 0.5, 1.0], [2.0, np.nan, 0.0]]]), factor=1.0).tolist()
+    [[[0, 188, 255], [255, 0, 0]]]
+    """
     rgb = np.asarray(rgb, dtype=np.float64)
     factor = exposure(rgb) if factor is None else factor
     linear = np.clip(np.nan_to_num(rgb * factor, nan=0.0, posinf=0.0, neginf=0.0), 0.0, 1.0)
@@ -84,7 +91,7 @@ def tone_map(rgb: np.ndarray, factor: Optional[float] = None) -> np.ndarray:
 
 
 def rgb_of(bitmap) -> Optional[np.ndarray]:
-    """The main image of a bitmap as linear RGB, or None if it has none (a film of raw spectral channels)."""
+    """The main image of a bitmap as linear RGB (H, W, 3), or None if it has none (a film of raw spectral channels)."""
     import mitsuba as mi
 
     images = dict(bitmap.split())
@@ -94,20 +101,34 @@ def rgb_of(bitmap) -> Optional[np.ndarray]:
     return np.array(main.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False))
 
 
-def write_image(path, image, factor: Optional[float] = None) -> tuple[Path, Optional[Path]]:
+def about(integrator, scene: str, spp: Optional[int] = None, seed: Optional[int] = None) -> dict:
+    """What an EXR's header says of the image: the integrator with its settings, the scene (a name, no path), samples per
+    pixel and seed where they are known, versions and variant."""
+    import mitsuba as mi
+
+    import mitsuba_refscatter
+
+    said = {"integrator": str(integrator), "scene": scene, "spp": spp, "seed": seed, "variant": mi.variant(),
+            "mitsuba": mi.__version__, "refscatter": mitsuba_refscatter.__version__}  # fmt: skip
+    return {key: value for key, value in said.items() if value is not None}
+
+
+def write_image(path, image, factor: Optional[float] = None, header: Optional[dict] = None):
     """Write ``image`` to ``path`` (EXR, all channels with their names) and a PNG beside it.
 
     ``image`` is a ``mi.Bitmap`` (``film.bitmap()``) or an array (height, width, 1 to 4). Both
     files are written under hidden names and renamed at the end, so that a failure leaves
     earlier pictures as they were. The PNG shows the image times ``factor`` (None: the 97th percentile of
     the luminance of lit pixels at 0.8), in sRGB; there is none (None) if the image has no RGB or grey channels.
-    Returns the two paths.
+    ``header``: attributes that the EXR gets, as of ``about``. Returns the two paths.
     """
     import mitsuba as mi
 
     path = target(path)
     bitmap = image if isinstance(image, mi.Bitmap) else mi.Bitmap(np.asarray(image, dtype=np.float32))
     rgb = rgb_of(bitmap)
+    for key, value in (header or {}).items():
+        bitmap.metadata()[key] = value
     write_file(path, lambda unfinished: bitmap.write(str(unfinished)))
     if rgb is None:
         return path, None

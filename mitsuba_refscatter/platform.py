@@ -14,6 +14,8 @@ import re
 from dataclasses import dataclass
 from functools import cache
 
+from .spelling import advice
+
 MITSUBA_RANGE = ((3, 9, 1), (3, 10, 0))  # from, below: 3.10 renames the mesh interface
 LLVM_MINIMUM = 17  # 14 is refused by Dr.Jit; 15 and 16 end the process on x86
 PREFERRED = ("cuda_ad_rgb", "llvm_ad_rgb")
@@ -57,7 +59,11 @@ class Report:
 
 
 def is_supported(variant: str) -> bool:
-    """Whether refscatter is written for this kind of variant, whatever the machine."""
+    """Whether refscatter is written for this kind of variant, whatever the machine.
+
+    >>> [is_supported(name) for name in ("llvm_ad_rgb", "cuda_ad_spectral", "scalar_rgb", "llvm_ad_rgb_polarized")]
+    [True, True, False, False]
+    """
     return _refusal(variant) is None
 
 
@@ -149,7 +155,7 @@ def problem_of(variant: str) -> str | None:
     import mitsuba as mi
 
     if variant not in mi.variants():
-        return f"the installed Mitsuba does not have it: choose one of {', '.join(filter(is_supported, mi.variants()))}"
+        return f"the installed Mitsuba does not have it: {advice(variant, filter(is_supported, mi.variants()))}"
     if variant.startswith("llvm"):
         return llvm().problem
     if variant.startswith("cuda"):

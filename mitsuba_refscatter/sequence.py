@@ -43,7 +43,11 @@ def _columns(dimension):
 
 
 def sobol(index, dimension):
-    """Numbers ``index`` (integers below 2^32) of the Sobol sequence in one dimension, as uint32 fractions of 2^32."""
+    """Numbers ``index`` (integers below 2^32) of the Sobol sequence in one dimension, as uint32 fractions of 2^32.
+
+    >>> (sobol([0, 1, 2, 3, 4], 0) / 2**32).tolist()
+    [0.0, 0.5, 0.25, 0.75, 0.125]
+    """
     index = np.asarray(index, dtype=np.uint64)
     out = np.zeros(index.shape, dtype=np.uint64)
     for bit, column in enumerate(_columns(dimension)):
@@ -60,7 +64,11 @@ class Batch:
     per_pixel: int = 1
 
     def split(self, n):
-        """Pixel and number in it of each of ``n`` lanes."""
+        """Pixel and number in it of each of ``n`` lanes.
+
+        >>> Batch(first=8, per_pixel=2).split(6)
+        ([0, 0, 1, 1, 2, 2], [0, 1, 0, 1, 0, 1])
+        """
         lane, per_pixel = dr.arange(mi.UInt32, n), dr.opaque(mi.UInt32, self.per_pixel)
         return lane // per_pixel, lane % per_pixel
 

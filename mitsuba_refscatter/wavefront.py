@@ -36,12 +36,14 @@ class Segments:
                        t_max=dr.gather(type(self.t_max), self.t_max, index, active))  # fmt: skip
 
     def sigma_t_of(self, index):
+        """Extinction of the segments at ``index``."""
         if dr.width(self.sigma_t) == 1:
             return self.sigma_t
         return dr.gather(type(self.sigma_t), self.sigma_t, index)
 
     @property
     def inverse_d(self):
+        """1 / d, finite."""
         return bvh.finite_inverse(self.d)
 
     def __len__(self):
@@ -59,6 +61,7 @@ class Counts:
     unresolved: int = 0
 
     def add(self, other):
+        """Adds the work of another render."""
         self.segments += other.segments
         self.leaves += other.leaves
 

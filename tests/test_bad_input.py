@@ -59,8 +59,11 @@ def test_option(make, name, value, words):
 
 
 def test_unknown_option(make):
-    with pytest.raises(RuntimeError, match='unreferenced property(.|\n)*"tolerence"'):
-        make.scene(integrator={"type": "refscatter", "tolerence": 0.1})
+    refused(
+        lambda: make.scene(integrator={"type": "refscatter", "tolerence": 0.1}),
+        '"tolerence"',
+        "did you mean tolerance?",
+    )
 
 
 # ---- Meshes ---------------------------------------------------------------------------------

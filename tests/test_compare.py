@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
+import OpenEXR
 import pytest
 from against_volpath import BLOCK, WITHIN, Case, colour, glass
 from build import point_light
@@ -33,6 +34,10 @@ def test_compare_writes_a_report(tmp_path, names):
         image = np.array(mi.Bitmap(str(tmp_path / f"{row['method']}.exr")))
         assert image.shape == (16, 16, 3)
         assert image.max() > 0 or row["method"] == "volpath"  # which may find nothing so soon
+        header = OpenEXR.File(str(tmp_path / f"{row['method']}.exr"), header_only=True).header()
+        assert (header["scene"], header["spp"]) == ("sphere", row["samples"]) and row["settings"]["type"] in header[
+            "integrator"
+        ]
     by_name = {row["method"]: row for row in data["rows"]}
     assert by_name["refscatter"]["relmse"] < by_name["straight_line"]["relmse"]
     assert by_name["refscatter"]["seconds_to_first"] == by_name["refscatter"]["wall_seconds"]

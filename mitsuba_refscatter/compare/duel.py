@@ -17,6 +17,7 @@ class Subject:
 
     @classmethod
     def of(cls, name, load):
+        """A scene of the user's, loaded once to count triangles."""
         from ..kept import Kept
         from ..scene import read
 

@@ -37,6 +37,10 @@ SAMPLER = "multijitter"
 """Of ``volpath``: stratified in the pixels."""
 
 
+OTHER_ROWS = 4
+"""Of results, besides one for each of the ``Setup.radii``: ``volpath`` and ours at ``Setup.radius`` and under the sky."""
+
+
 @dataclass(frozen=True)
 class Setup:
     """What is measured. ``radii``: of sphere lights for which ``volpath`` is rendered; ``radius``: of the one for which it is

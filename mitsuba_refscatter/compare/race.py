@@ -7,6 +7,7 @@ not scattered in the media), and not timed. Clocks stand still while images are 
 
 import time
 from dataclasses import dataclass, field
+from typing import Optional
 
 from . import methods, metrics
 
@@ -34,7 +35,7 @@ FLAT = 0.25
 
 @dataclass(frozen=True)
 class Setup:
-    """What all methods have in common."""
+    """What all methods have in common. ``seconds``: wall time of each; ``variant``: Mitsuba's."""
 
     variant: str
     seconds: float = 10.0
@@ -44,16 +45,19 @@ class Setup:
 
     @property
     def common(self):
+        """Properties of all integrators of this package here."""
         return {"surfaces": False, "internal_bounces": self.internal_bounces, "tolerance": self.tolerance}
 
 
 @dataclass
 class Run:
-    """What a method did. ``curve``: (wall seconds, relMSE) on the way; ``image`` after the time was up."""
+    """What a method did. ``curve``: (wall seconds, relMSE) on the way; ``image`` after the time was up; ``seed``: None where it is
+    made with many."""
 
     method: str
     settings: dict
     image: object = None
+    seed: Optional[int] = None
     samples: int = 0
     wall_seconds: float = 0.0
     cpu_seconds: float = 0.0
@@ -137,7 +141,7 @@ def _ours(scene, run, truth, seconds, wanted, report, seed=1):
     """A method of this package."""
     import mitsuba as mi
 
-    integrator, start = mi.load_dict(run.settings), time.perf_counter()
+    integrator, start, run.seed = mi.load_dict(run.settings), time.perf_counter(), seed
     integrator.watch = lambda samples, image: 1 if samples < 2 else 0
     integrator.render(scene, seed=0, spp=ENDLESS)
     run.warm_up_seconds = time.perf_counter() - start
@@ -186,7 +190,12 @@ POWERS = {"volpath": 1.0}
 
 def seconds_to(curve, error, power=None):
     """When a curve of (seconds, error) is at an error for good, and whether that was extrapolated: with a known ``power`` of time,
-    or that by which it fell over the last eighth of the time onwards. ``(None, True)`` where it hardly falls."""
+    or that by which it fell over the last eighth of the time onwards. ``(None, True)`` where it hardly falls.
+
+    >>> curve = [(1.0, 0.4), (2.0, 0.2), (4.0, 0.1), (8.0, 0.05)]
+    >>> seconds_to(curve, 0.1), seconds_to(curve, 0.025, power=1.0)
+    ((4.0, False), (16.0, True))
+    """
     import numpy as np
 
     t, e = np.array(curve).T

@@ -17,7 +17,12 @@ ROW = (
 
 
 def row(**values):
-    """A row with all keys of ``ROW``."""
+    """A row with all keys of ``ROW``.
+
+    >>> found = row(scene="sphere", light="envmap")
+    >>> found["scene"], found["light"], found["wall_seconds"]
+    ('sphere', 'envmap', None)
+    """
     return {**dict.fromkeys(ROW), **values}
 
 

@@ -37,10 +37,12 @@ class Setup:
     methods: tuple = OURS
 
     def settings(self, method):
+        """Properties of a method's integrator."""
         common = {"surfaces": False, "internal_bounces": self.internal_bounces, "tolerance": self.tolerance}
         return {**common, **METHODS["refscatter" if method == EXACT_MESH else method]}
 
     def integrator(self, method, **properties):
+        """A method's integrator, with other ``properties`` in place of its own."""
         import mitsuba as mi
 
         integrator = mi.load_dict({**self.settings(method), **properties})
@@ -139,7 +141,12 @@ def clock(work):
 
 def exponents(rows):
     """Per method the power of the number of triangles with which wall time per sample grows, from two sizes on; and per kind
-    of pair that ``refscatter`` has."""
+    of pair that ``refscatter`` has.
+
+    >>> rows = [{"method": "x", "triangles": n, "samples": 1, "wall_seconds": 0.01 * n**0.5} for n in (80, 320, 1280)]
+    >>> {key: round(power, 3) for key, power in exponents(rows).items()}
+    {('x', 'wall_seconds'): 0.5}
+    """
     import numpy as np
 
     out = {}

@@ -5,6 +5,7 @@ Light points, places in the pixels and camera paths are the same in all renders:
 against a render at ``REFERENCE``.
 """
 
+import itertools
 import statistics
 import time
 from dataclasses import dataclass
@@ -59,8 +60,9 @@ def settings(setup):
     return out
 
 
-def run(name, scene, setup, report=lambda row: None):
-    """Rows of results for a loaded scene, ``report(row)`` is called with each when all of it is known."""
+def run(name, scene, setup, report=lambda row: None, progress=lambda fraction: None):
+    """Rows of results for a loaded scene, ``report(row)`` is called with each when all of it is known, ``progress(fraction)`` after
+    each render."""
     import mitsuba as mi
     import numpy as np
 
@@ -79,18 +81,22 @@ def run(name, scene, setup, report=lambda row: None):
     def image(render):
         return np.array(render(), dtype=np.float64)[..., -3:]
 
-    reference = image(prepared(REFERENCE, {}))
     every = settings(setup)
     renders = [prepared(tolerance, changes) for _, tolerance, changes in every]
-    first, images = [], []
+    first, images, done = [], [], itertools.count(1)
+    total = 1 + len(every) * (1 + setup.repeats)
+    reference = image(prepared(REFERENCE, {}))
+    progress(next(done) / total)
     for render in renders:
         start = time.perf_counter()
         images.append(image(render))
         first.append(time.perf_counter() - start)
+        progress(next(done) / total)
     times = [[] for _ in every]
     for _ in range(setup.repeats):
         for render, measured in zip(renders, times):
             measured.append(clock(render))
+            progress(next(done) / total)
     rows = []
     for (what, tolerance, changes), found, measured, begin in zip(every, images, times, first):
         wall, cpu = (statistics.median(x) for x in zip(*measured))

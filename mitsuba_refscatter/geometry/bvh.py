@@ -27,7 +27,11 @@ class Tree:
 
 
 def depth_for(n_items):
-    """Levels below the root such that the leaves hold ``n_items``."""
+    """Levels below the root such that the leaves hold ``n_items``.
+
+    >>> depth_for(LEAF), depth_for(LEAF + 1), depth_for(8 * LEAF)
+    (0, 1, 3)
+    """
     leaves = max(1, -(-n_items // LEAF))
     return int(np.ceil(np.log2(leaves)))
 

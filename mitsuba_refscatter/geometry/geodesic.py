@@ -25,7 +25,11 @@ _FACES = np.array(
 
 
 def nearest_frequency(triangles: int) -> int:
-    """Return the frequency f ≥ 1 for which 20 f² comes nearest to ``triangles``."""
+    """Return the frequency f ≥ 1 for which 20 f² comes nearest to ``triangles``.
+
+    >>> nearest_frequency(1280), nearest_frequency(100)
+    (8, 2)
+    """
     f = max(1, int((triangles / 20.0) ** 0.5))
     return f if abs(20 * f * f - triangles) <= abs(20 * (f + 1) ** 2 - triangles) else f + 1
 

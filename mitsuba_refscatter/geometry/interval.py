@@ -6,7 +6,11 @@ import mitsuba as mi
 
 def positive_part(ends):
     """``(start, end)`` of the part of [0, 1] on which all functions are positive, each given by its values at 0 and
-    at 1; start > end where there is none."""
+    at 1; start > end where there is none.
+
+    >>> positive_part([(mi.Float(-1), mi.Float(1)), (mi.Float(3), mi.Float(-1))])
+    ([0.5], [0.75])
+    """
     start, end = mi.Float(0), mi.Float(1)
     for at_0, at_1 in ends:
         zero = at_0 / dr.select(at_0 == at_1, 1, at_0 - at_1)

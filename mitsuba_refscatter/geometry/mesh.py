@@ -4,7 +4,11 @@ import numpy as np
 
 
 def weld(vertices, faces):
-    """Faces with vertices at the same position made one: (F, 3) indices of unique positions."""
+    """Faces with vertices at the same position made one: (F, 3) indices of unique positions.
+
+    >>> weld(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0]]), np.array([[0, 1, 2], [0, 2, 3]])).tolist()
+    [[0, 2, 1], [0, 1, 2]]
+    """
     _, inverse = np.unique(vertices, axis=0, return_inverse=True)
     return inverse.reshape(-1)[faces]
 
@@ -14,6 +18,11 @@ def twins(faces):
 
     Edge ``3 f + k`` runs from corner k of face f to corner k + 1. Returns the twin of each edge, -1 where it has none (a
     hole), itself where its face has one vertex twice; or None if an edge has several, or faces are of inconsistent orientation.
+
+    >>> twins(np.array([[0, 1, 2], [1, 0, 3]])).tolist()
+    [3, -1, -1, 0, -1, -1]
+    >>> twins(np.array([[0, 1, 2], [0, 1, 3]])) is None
+    True
     """
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     counts = np.flatnonzero(np.repeat((tail != head).reshape(-1, 3).all(axis=1), 3))
@@ -31,7 +40,11 @@ def twins(faces):
 
 
 def edge_keys(a, b, count):
-    """A number for each edge between two of ``count`` vertices, the same in both directions: lower x ``count`` + upper."""
+    """A number for each edge between two of ``count`` vertices, the same in both directions: lower x ``count`` + upper.
+
+    >>> edge_keys(np.array([1, 2]), np.array([2, 1]), 10).tolist()
+    [12, 12]
+    """
     return np.minimum(a, b).astype(np.int64) * count + np.maximum(a, b)
 
 
@@ -42,7 +55,11 @@ def volume(corners):
 
 
 def components(faces):
-    """Number of the connected component of each face (F,), by common vertices."""
+    """Number of the connected component of each face (F,), by common vertices.
+
+    >>> components(np.array([[0, 1, 2], [3, 4, 5], [2, 1, 6]])).tolist()
+    [0, 1, 0]
+    """
     a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     root = np.arange(int(faces.max()) + 1)
     while (root[a] != root[b]).any():

@@ -29,6 +29,7 @@ class Triangle:
     curved = False
 
     def position(self, u, v):
+        """Point of the triangle at (u, v)."""
         return dr.fma(self.P_v, v, dr.fma(self.P_u, u, self.P0))
 
     def tangents(self, u, v):

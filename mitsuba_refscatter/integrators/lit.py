@@ -211,6 +211,7 @@ class Stretch:
     wavelengths: object
 
     def gather(self, index):
+        """Those at ``index``."""
         wavelengths = lanes.of(self.wavelengths, index)
         fields = (lanes.gather(x, index) for x in (self.o, self.back, self.d, self.t_max, self.weight, self.sample))
         return Stretch(*fields, wavelengths)
@@ -230,6 +231,7 @@ class Stretch:
         return stretch, turn.point.of(slot), lanes.of(turn.value, slot)
 
     def segments(self, centre, sigma_t):
+        """As ``Segments`` in the coordinates of a body with this ``centre``."""
         o = self.o - mi.Point3f(dr.opaque(mi.Point3f, centre)) + self.back
         return Segments(mi.Point3f(o), self.d, self.t_max, sigma_t)
 

@@ -15,7 +15,8 @@ NESTED_WITH_MEDIA = ("Volumetric", "VolpathMis", "PRBVolpath", "Refscatter")
 
 class RefscatterIntegrator(mi.SamplingIntegrator):
     """Single scattering in media with refractive boundaries; without noise, but for the estimator ``point`` and for lights
-    that are not a point or a direction.
+    that are not a point or a direction. Raises ``OptionError`` for properties when it is made, ``SceneError`` for scenes when it
+    renders.
 
     .. pluginparameters::
 
@@ -89,9 +90,11 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         self.changes = {}  # fields of ``tolerances.Accuracy``, for measurements
 
     def aov_names(self):
+        """Names of the extra channels, in order."""
         return [channel for name in options.aov_list(self.options) for channel in options.AOVS[name]]
 
     def to_string(self):
+        """All properties with their values, which is what an EXR's header says, too."""
         inside = ", ".join(f"{key} = {value}" for key, value in vars(self.options).items())
         return f"{type(self).__name__}[{inside}]"
 
@@ -105,6 +108,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             return self._sample(prepared, medium, sampler, ray, mi.Spectrum(1), active, Batch(), None)
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
+        """As Mitsuba's; ``sensor`` is one or its number. Raises ``SceneError`` for a scene that is not supported."""
         platform.require_usable(mi.variant())
         if isinstance(sensor, int):
             if not scene.sensors():

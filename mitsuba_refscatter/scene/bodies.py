@@ -64,10 +64,12 @@ class Body:
 
     @property
     def triangle_count(self):
+        """Number of its triangles, or patches."""
         return len(self.corners)
 
     @property
     def refracts(self):
+        """Whether its boundary bends light."""
         return self.kind == "refracts"
 
     def packed(self):

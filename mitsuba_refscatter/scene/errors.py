@@ -13,6 +13,7 @@ def describe(obj, what, detail=""):
 
 
 def name_shape(shape):
+    """How error messages name a shape: its id, or its place, size and material."""
     box = shape.bbox()
     centre = ", ".join(f"{x:.4g}" for x in box.center())
     detail = f"at ({centre})"

@@ -61,6 +61,7 @@ class Cosine:
     normal: object
 
     def at(self, segment):
+        """That for the camera segments ``segment`` (indices)."""
         return Cosine(lanes.of(self.normal, segment))
 
     def __call__(self, P, omega_L, d_L):
@@ -76,6 +77,7 @@ class Profile:
     wavelengths: object
 
     def at(self, segment):
+        """That for the camera segments ``segment`` (indices)."""
         return Profile(self.emitter, self.centre, lanes.of(self.wavelengths, segment))
 
     def __call__(self, P, omega_L, d_L):

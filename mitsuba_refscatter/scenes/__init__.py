@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from ..spelling import advice
 from .bodies import amber, bumpy_sphere, rounded_cube, sphere
 from .branches import branches
 from .ply import write_ply
@@ -48,9 +49,13 @@ def scene_names() -> list[str]:
 
 
 def make_body(name: str, triangles: int | None = None):
-    """Return ``(vertices, faces, normals)`` of a body, with about ``triangles`` triangles."""
+    """Return ``(vertices, faces, normals)`` of a body, with about ``triangles`` triangles; ``BodyError`` if that can't be.
+
+    >>> [x.shape for x in make_body("sphere", triangles=100)]
+    [(42, 3), (80, 3), (42, 3)]
+    """
     if name not in BODIES:
-        raise BodyError(f"there is no scene '{name}': choose one of {', '.join(BODIES)}")
+        raise BodyError(f"there is no scene '{name}': {advice(name, BODIES)}")
     wanted = SCENES[name].triangles if triangles is None else triangles
     if not 1 <= wanted <= MAX_TRIANGLES:
         raise BodyError(f"{wanted} triangles asked for: give a number from 1 to {MAX_TRIANGLES}")
@@ -61,7 +66,8 @@ def make_body(name: str, triangles: int | None = None):
 
 
 def write_scene(name: str, directory, triangles: int | None = None) -> tuple[Path, int]:
-    """Write ``directory/scene.xml``, its mesh and what else it needs; return the XML's path and the triangle count."""
+    """Write ``directory/scene.xml``, its mesh and what else it needs; return the XML's path and the triangle count.
+    Raises ``BodyError`` and ``OSError``."""
     vertices, faces, normals = make_body(name, triangles)
     directory = Path(directory)
     (directory / "meshes").mkdir(parents=True, exist_ok=True)

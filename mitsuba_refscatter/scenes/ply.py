@@ -23,7 +23,7 @@ end_header
 
 
 def write_ply(path, vertices, faces, normals, comment: str = "mitsuba_refscatter") -> None:
-    """Write a triangle mesh in float32, little endian, whatever the machine."""
+    """Write a triangle mesh in float32, little endian, whatever the machine: vertices and normals (V, 3), faces (F, 3)."""
     header = _HEADER.format(comment=comment, vertices=len(vertices), faces=len(faces))
     points = np.concatenate([vertices, normals], axis=1).astype("<f4")
     rows = np.empty(len(faces), dtype=[("n", "u1"), ("index", "<i4", 3)])

@@ -14,7 +14,7 @@ Field = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def project(field: Field, x: np.ndarray, steps: int = 6) -> np.ndarray:
-    """Move points along the gradient onto the zero surface."""
+    """Move points (n, 3) along the gradient onto the zero surface."""
     for _ in range(steps):
         value, gradient = field(x)
         x = x - gradient * (value / (gradient**2).sum(axis=1))[:, None]

@@ -42,6 +42,7 @@ class Solution:
 
     @property
     def converged(self):
+        """Whether each lane's is a solution."""
         return self.status == int(Status.CONVERGED)
 
 
