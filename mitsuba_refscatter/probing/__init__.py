@@ -131,8 +131,7 @@ def probe(scene, x, y, *, sensor=0, segment=0, parts=512, samples=64, tolerance=
 
 def _prepared(scene, tolerance, internal_bounces, culling):
     """``lit.Prepared`` for exact roots on the meshes themselves. Refuses lights that are no point or direction."""
-    exact = tolerances.accuracy(0.0)
-    changes = {key: getattr(exact, key) for key in ("newton", "linear", "clip", "points", "coarse", "samples_visibility")}
+    changes = {"coarse": 0.0, "samples_visibility": False}
     chosen = options.Options(tolerance=float(tolerance), internal_bounces=internal_bounces, culling=culling, surfaces=False)
     prepared = lit.Prepared(scene, chosen, lambda: 0, Kept(), changes=changes)
     for light in prepared.scene.lights:
