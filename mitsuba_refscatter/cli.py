@@ -1,5 +1,5 @@
 """The command ``refscatter``: render, compare, check, supported, scenes, scaling, convergence, equal-error,
-tradeoff.
+tradeoff, probe.
 
 Errors are one sentence on stderr and exit code 1 (usage: 2, Ctrl-C: 130, SIGTERM: 143).
 """

@@ -67,7 +67,7 @@ class Probe:
     scene's unit; per unit length in that unit. C: channels of the variant, 3 (linear rgb) or 1 (mono). Distances are along the segment, from 0 to
     its length.
 
-    ``pixel``: (x, y); ``camera`` (3,): where the ray starts, world; ``segments``: all of the ray in regions that scatter, by weight, the
+    ``pixel``: (x, y); ``camera`` (2, 3): where the ray starts and where it first meets a surface, world; ``segments``: all of the ray in regions that scatter, by weight, the
     largest first, and ``segment``: the number of the one that the rest is about. ``distance`` (N,): middles of N equal parts of
     it; ``radiance`` (N, C): total per unit length, mean over each part, ``straight`` (N, C): how much of it is by light that is not refracted.
     ``integral`` (C,): over the segment, and ``estimated`` (C,): the same as the estimator ``curve`` finds it; ``unresolved``: share of the
@@ -94,7 +94,9 @@ class Probe:
     boundaries: list
 
 
-def probe(scene, x, y, *, sensor=0, segment=0, parts=512, samples=64, tolerance=1e-3, internal_bounces=4, culling="beams"):
+def probe(
+    scene, x, y, *, sensor=0, segment=0, parts=512, samples=64, tolerance=1e-3, internal_bounces=4, culling="beams"
+):
     """The radiance per unit length along the camera ray through the middle of a pixel (``Probe``).
 
     ``scene``: ``mi.Scene``, loaded in the variant that is set (rgb or mono); ``x``, ``y``: pixel of the image from its upper left corner; ``sensor``: its
@@ -121,9 +123,13 @@ def probe(scene, x, y, *, sensor=0, segment=0, parts=512, samples=64, tolerance=
         paths = camera.trace(prepared.scene, ray, True, start, internal_bounces, False, prepared.accuracy.weight)
         found = _segments(prepared.scene, paths)
         if not found:
-            raise ProbeError(f"the ray through pixel ({x}, {y}) meets no body that scatters light: choose a pixel in which one is seen")
+            raise ProbeError(
+                f"the ray through pixel ({x}, {y}) meets no body that scatters light: choose a pixel in which one is seen"
+            )
         if not 0 <= segment < len(found):
-            raise ProbeError(f"the ray through pixel ({x}, {y}) has no segment number {segment}: it has {len(found)}, counted from 0")
+            raise ProbeError(
+                f"the ray through pixel ({x}, {y}) has no segment number {segment}: it has {len(found)}, counted from 0"
+            )
         segments, places = zip(*found)
         one = _Along(prepared, places[segment], paths, ray, parts)
         return _probe((x, y), ray, list(segments), segment, one, samples)
@@ -132,7 +138,9 @@ def probe(scene, x, y, *, sensor=0, segment=0, parts=512, samples=64, tolerance=
 def _prepared(scene, tolerance, internal_bounces, culling):
     """``lit.Prepared`` for exact roots on the meshes themselves. Refuses lights that are no point or direction."""
     changes = {"coarse": 0.0, "samples_visibility": False}
-    chosen = options.Options(tolerance=float(tolerance), internal_bounces=internal_bounces, culling=culling, surfaces=False)
+    chosen = options.Options(
+        tolerance=float(tolerance), internal_bounces=internal_bounces, culling=culling, surfaces=False
+    )
     prepared = lit.Prepared(scene, chosen, lambda: 0, Kept(), changes=changes)
     for light in prepared.scene.lights:
         if light.exact is None:
@@ -159,8 +167,16 @@ def _segments(scene, paths):
         if paths.segments[region.index]:
             o, back, d, t_max, weight, _ = (lanes.concat(x) for x in zip(*paths.segments[region.index]))
             arrays = [_numbers(x) for x in (mi.Point3f(o) + back, d, t_max, weight)]
-            found += [(Segment(o, d, float(t[0]), w, region.name), (region, i)) for i, (o, d, t, w) in enumerate(zip(*arrays))]
+            found += [
+                (Segment(o, d, float(t[0]), w, region.name), (region, i)) for i, (o, d, t, w) in enumerate(zip(*arrays))
+            ]
     return sorted(found, key=lambda entry: -entry[0].weight.mean())
+
+
+def _first_leg(scene, ray):
+    """Where a camera ray starts and where it first meets a surface (2, 3); the start twice if it meets none."""
+    hit = scene.mi_scene.ray_intersect_preliminary(ray)
+    return np.concatenate([_numbers(x) for x in (ray.o, ray.o + dr.select(hit.is_valid(), hit.t, 0) * ray.d)])
 
 
 def _numbers(x):
@@ -193,7 +209,9 @@ class _Along:
 
     def estimate(self, n=1, refracted=True):
         """Radiance (n, C) that the estimator finds for each of n equal parts of the segment; without ``refracted`` only of light that is not."""
-        return _numbers(lit.scatter(self.prepared, self.pieces(n), self.ray, n, Batch(), 0, False, None, refracted).value)
+        return _numbers(
+            lit.scatter(self.prepared, self.pieces(n), self.ray, n, Batch(), 0, False, None, refracted).value
+        )
 
     def lit_by(self):
         """For all lights and boundaries that refract their light: their numbers, the body, ``Lighting``, culling, and the factor of
@@ -207,7 +225,9 @@ class _Along:
                     yield i, k, body, lighting, culling, self.stretch.weight * self.sigma_s * value * tint
 
     def sweep(self, segments, culling, lighting, estimator):
-        return wavefront.sweep(segments, culling, lighting, self.prepared.accuracy, estimator, False, None, wavefront.Pace())[0]
+        return wavefront.sweep(
+            segments, culling, lighting, self.prepared.accuracy, estimator, False, None, wavefront.Pace()
+        )[0]
 
     def samples(self, n):
         """``Samples`` of n points for each light."""
@@ -223,7 +243,9 @@ class _Along:
             found[i] = _numbers(t)[:, 0], found[i][1] + density if i in found else density
         lights = np.repeat(list(found), n).astype(int)
         channels = len(mi.Spectrum(0))
-        t, density = (np.concatenate(x) for x in zip(*found.values())) if found else (np.zeros(0), np.zeros((0, channels)))
+        t, density = (
+            (np.concatenate(x) for x in zip(*found.values())) if found else (np.zeros(0), np.zeros((0, channels)))
+        )
         return Samples(lights, t, density, np.zeros(channels) + estimate)
 
 
@@ -244,7 +266,7 @@ def _probe(pixel, ray, segments, number, one, samples):
     integral = total.mean(axis=0) * length
     scene = one.prepared.scene
     return Probe(
-        pixel=pixel, camera=_numbers(ray.o)[0], segments=segments, segment=number, distance=distance, radiance=total, straight=straight,
+        pixel=pixel, camera=_first_leg(scene, ray), segments=segments, segment=number, distance=distance, radiance=total, straight=straight,
         integral=integral, estimated=one.estimate()[0], unresolved=unresolved / max(integral.sum(), 1e-30), peaks=peaks(distance, total),
         curve=curve, triangles=triangles, samples=one.samples(samples),
         lights=[Light(light.name, _numbers(light.exact.L)[0], light.exact.distant) for light in scene.lights],

@@ -33,8 +33,29 @@ def text_of(probe, name=None):
         "point_samples": {"light": samples.light, "distance": samples.distance, "radiance": samples.radiance, "estimate": samples.estimate},
         "total": {"distance": probe.distance, "radiance": probe.radiance, "straight": probe.straight},
     }  # fmt: skip
-    lines = (f" {json.dumps(key)}: {json.dumps(_plain(value), allow_nan=False)}" for key, value in data.items())
-    return "{\n" + ",\n".join(lines) + "\n}\n"
+    return "{\n" + ",\n".join(f" {json.dumps(key)}: {_lines(_plain(value))}" for key, value in data.items()) + "\n}\n"
+
+
+def summary(probe):
+    """What was found, in a few lines."""
+    segment, folds = probe.segments[probe.segment], int(np.isfinite(probe.curve.fold).sum())
+    return (
+        f"segment {probe.segment} of {len(probe.segments)} in {segment.region}: length {segment.length:.5g}, weight {segment.weight.mean():.3g}\n"
+        f"{len(probe.triangles.triangle)} triangles, {folds} folds, {len(probe.peaks)} peaks\n"
+        f"radiance {_row(probe.integral)}; estimator curve {_row(probe.estimated)}, "
+        f"point with {len(probe.samples.distance)} samples {_row(probe.samples.estimate)}"
+    )
+
+
+def _row(values):
+    return " ".join(f"{x:.4g}" for x in values)
+
+
+def _lines(value):
+    """JSON of a value, objects of a list on lines of their own."""
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return "[\n  " + ",\n  ".join(json.dumps(x, allow_nan=False) for x in value) + "\n ]"
+    return json.dumps(value, allow_nan=False)
 
 
 def _plain(value):

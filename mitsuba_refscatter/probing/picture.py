@@ -6,7 +6,10 @@ from .colours import colours
 from .curves import luminance
 
 ROOM = 1.25
-"""Height of the picture relative to the largest mean of the total: poles of single triangles go beyond."""
+"""Height of the picture relative to the largest mean of the total."""
+
+DECADES = 1e-4, 10.0
+"""What is shown of single triangles relative to that; their poles go beyond."""
 
 
 def draw(probe, path):
@@ -56,18 +59,21 @@ def _total(panel, probe, top):
 
 
 def _triangles(panel, probe, top):
-    """Each triangle's part in its own colour, broken where its curve is; folds as dashed lines."""
+    """Each triangle's part in its own colour, broken where its curve is; folds as dashed lines. On a logarithmic scale."""
     curve, number = probe.curve, len(probe.triangles.triangle)
     y = luminance(curve.radiance)
-    y = np.where(np.isfinite(y), y, 10 * top)
+    y = np.where(np.isfinite(y), y, DECADES[1] * top)
     for k, colour in enumerate(colours(number)):
         cells = np.flatnonzero(probe.triangles.of == k)
         x, z = (np.column_stack([v[cells], np.full(len(cells), np.nan)]) for v in (curve.distance, y))
         panel.plot(x.ravel(), z.ravel(), color=colour, linewidth=1.3)
     folds = curve.fold[np.isfinite(curve.fold)]
     for i, t in enumerate(folds):
-        panel.axvline(t, color="C3", linestyle="--", linewidth=0.8, label=f"{len(folds)} folds" if i == 0 else None)
-    panel.set(ylim=(0, top), ylabel=f"of each of\n{number} triangles")
+        panel.axvline(t, color="0.3", linestyle="--", linewidth=0.8, label=f"{len(folds)} folds" if i == 0 else None)
+    panel.plot(folds, np.full(len(folds), 0.8 * DECADES[1] * top), "v", color="0.3", markersize=5)
+    panel.set(
+        yscale="log", ylim=(DECADES[0] * top, DECADES[1] * top), ylabel=f"the same of each of\n{number} triangles"
+    )
     if len(folds):
         panel.legend(fontsize=9, loc="upper right")
 
@@ -77,6 +83,5 @@ def _intervals(panel, probe):
     of = probe.triangles
     order = np.argsort(of.x_min)
     tint = colours(len(order))
-    for row, k in enumerate(order):
-        panel.plot([of.x_min[k], of.x_max[k]], [row, row], color=tint[k], linewidth=2, solid_capstyle="butt")
+    panel.hlines(np.arange(len(order)), of.x_min[order], of.x_max[order], colors=[tint[k] for k in order], linewidth=2)
     panel.set(ylabel="intervals\n[x_min, x_max]", yticks=[])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .colours import colours
+from .colours import colour, hue
 
 PATHS = 24
 """Light paths that are shown."""
@@ -35,8 +35,24 @@ def write(probe, path):
 def _layout(probe):
     axis = {"showbackground": False, "showgrid": False, "zeroline": False, "showticklabels": False, "title": ""}
     title = f"pixel ({probe.pixel[0]}, {probe.pixel[1]}): light onto segment {probe.segment} of the camera ray"
-    return {"title": title, "scene": {"aspectmode": "data", **dict.fromkeys(("xaxis", "yaxis", "zaxis"), axis)},
-            "margin": {"l": 0, "r": 0, "t": 50, "b": 0}, "legend": {"x": 0.01, "y": 0.95}}  # fmt: skip
+    scene = {"aspectmode": "data", "camera": _eye(probe), **dict.fromkeys(("xaxis", "yaxis", "zaxis"), axis)}
+    return {
+        "title": title,
+        "scene": scene,
+        "margin": {"l": 0, "r": 0, "t": 50, "b": 0},
+        "legend": {"x": 0.01, "y": 0.95},
+    }
+
+
+def _eye(probe):
+    """Where it is first seen from: across the plane of segment and light, on the camera's side."""
+    segment = probe.segments[probe.segment]
+    middle, light = segment.origin + 0.5 * segment.length * segment.direction, probe.lights[0]
+    across = np.cross(segment.direction, light.position if light.distant else light.position - middle)
+    to_camera = probe.camera[0] - middle
+    across, to_camera = (x / max(np.linalg.norm(x), 1e-30) for x in (across, to_camera))
+    eye = (1 if across @ to_camera >= 0 else -1) * across + 0.7 * to_camera
+    return {"eye": dict(zip("xyz", eye)), "up": dict(zip("xyz", (0, 1, 0)))}
 
 
 def _mesh(graph_objects, boundary):
@@ -73,17 +89,16 @@ def _line(name, lines, colour, width, **more):
 
 
 def _camera_ray(probe, reach):
-    """The camera ray: its parts in bodies, the probed one thick; and the way to the camera from the first of them, where that is seen directly."""
+    """The camera ray: its segments, the probed one thick; and the way from the first surface to the camera."""
     ways = [[s.origin, s.origin + s.length * s.direction] for s in probe.segments]
     yield _line(f"segment {probe.segment}, probed", [ways[probe.segment]], "#d62728", 8)
     others = [way for k, way in enumerate(ways) if k != probe.segment]
     if others:
         yield _line("its other segments", others, "#f2a3a3", 3)
-    first = min(ways, key=lambda way: np.linalg.norm(way[0] - probe.camera))[0]
-    back = probe.camera - first
-    length = np.linalg.norm(back)
+    start, first = probe.camera
+    length = np.linalg.norm(start - first)
     if length > 0:
-        yield _line("to the camera", [[first, first + back * min(1, reach / length)]], "#d62728", 3)
+        yield _line("to the camera", [[first, first + (start - first) * min(1, reach / length)]], "#d62728", 3)
 
 
 def _light_paths(probe, reach):
@@ -104,15 +119,28 @@ def _light_paths(probe, reach):
     near = ~distant[:, 0] & (np.linalg.norm(P + to_light - where, axis=1) <= 1e-3 * reach)
     if near.any():
         lights = np.unique(where[near], axis=0).astype(np.float32)
-        yield {**dict(zip("xyz", lights.T)), "mode": "markers", "name": "light", "marker": {"color": "#e8a200", "size": 7}}
+        yield {
+            **dict(zip("xyz", lights.T)),
+            "mode": "markers",
+            "name": "light",
+            "marker": {"color": "#e8a200", "size": 7},
+        }
 
 
 def _curve(probe):
     """The curve g = 0 on the boundaries, each triangle's part in its colour in the picture."""
-    of = probe.triangles
-    for k, (r, g, b) in enumerate(colours(len(of.triangle))):
-        cells = np.flatnonzero(of.of == k)
-        colour = f"rgb({int(255 * r)},{int(255 * g)},{int(255 * b)})"
-        first = {"name": "curve of points that light the segment", "showlegend": k == 0, "legendgroup": "curve"}
-        text = f"triangle {of.triangle[k]}: x_min {of.x_min[k]:.5g}, x_max {of.x_max[k]:.5g}"
-        yield {**_line("", probe.curve.position[cells], colour, 7), **first, "text": text, "hoverinfo": "text"}
+    of, places = probe.triangles, np.linspace(0, 1, 49)
+    each = np.repeat(of.of, 4)  # three points of a cell, and the gap
+    scale = [[x, "rgb({},{},{})".format(*(int(255 * c) for c in colour(x % 1)))] for x in places]
+    line = {"color": hue(each), "colorscale": scale, "cmin": 0, "cmax": 1, "width": 7}
+    facts = np.stack([of.triangle[each], of.x_min[each], of.x_max[each]], axis=1).astype(np.float32)
+    told = "triangle %{customdata[0]:.0f}<br>x_min %{customdata[1]:.5g}<br>x_max %{customdata[2]:.5g}<extra></extra>"
+    name = f"points that light it, on {len(of.triangle)} triangles"
+    yield {
+        **_polylines(probe.curve.position),
+        "mode": "lines",
+        "name": name,
+        "line": line,
+        "customdata": facts,
+        "hovertemplate": told,
+    }
