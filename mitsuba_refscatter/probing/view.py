@@ -104,11 +104,12 @@ def _camera_ray(probe, reach):
 def _light_paths(probe, reach):
     """Some light paths, evenly spread over the radiance that they bring."""
     curve, segment = probe.curve, probe.segments[probe.segment]
-    brought = np.cumsum(curve.integral.sum(axis=1)[np.argsort(curve.distance[:, 1], kind="stable")])
+    order = np.argsort(curve.distance[:, 1], kind="stable")
+    brought = np.cumsum(curve.integral.sum(axis=1)[order])
     if len(brought) == 0 or brought[-1] <= 0:
         return
     places = np.searchsorted(brought, (np.arange(PATHS) + 0.5) / PATHS * brought[-1])
-    chosen = np.argsort(curve.distance[:, 1], kind="stable")[np.unique(places)]
+    chosen = order[np.unique(places)]
     P = curve.position[chosen, 1]
     V = segment.origin + curve.distance[chosen, 1, None] * segment.direction
     where = np.array([light.position for light in probe.lights])[curve.light[chosen]]
@@ -130,14 +131,14 @@ def _light_paths(probe, reach):
 def _curve(probe):
     """The curve g = 0 on the boundaries, each triangle's part in its colour in the picture."""
     of, places = probe.triangles, np.linspace(0, 1, 49)
-    each = np.repeat(of.of, 4)  # three points of a cell, and the gap
+    each = np.repeat(of.of, 3)  # both ends of a cell, and the gap
     scale = [[x, "rgb({},{},{})".format(*(int(255 * c) for c in colour(x % 1)))] for x in places]
     line = {"color": hue(each), "colorscale": scale, "cmin": 0, "cmax": 1, "width": 7}
     facts = np.stack([of.triangle[each], of.x_min[each], of.x_max[each]], axis=1).astype(np.float32)
     told = "triangle %{customdata[0]:.0f}<br>x_min %{customdata[1]:.5g}<br>x_max %{customdata[2]:.5g}<extra></extra>"
     name = f"points that light it, on {len(of.triangle)} triangles"
     yield {
-        **_polylines(probe.curve.position),
+        **_polylines(probe.curve.position[:, ::2]),
         "mode": "lines",
         "name": name,
         "line": line,
