@@ -1,5 +1,5 @@
 """The command ``refscatter``: render, compare, check, supported, scenes, scaling, convergence, equal-error,
-tradeoff.
+tradeoff, probe.
 
 Errors are one sentence on stderr; the exit codes stand at the end of ``refscatter --help``.
 """

@@ -1,4 +1,4 @@
-"""The commands that measure one thing: scaling, convergence, equal-error, tradeoff."""
+"""The commands that measure one thing: scaling, convergence, equal-error, tradeoff, probe."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from .compare import equal_error as equal_error_runs
 from .compare import results
 from .compare import scaling as scaling_runs
 from .compare import tradeoff as tradeoff_runs
-from .console import QUIET, defines, known, load, measurable, out, plainly, progress, require, table
+from .console import QUIET, Failure, cause, defines, known, load, measurable, out, plainly, progress, require, table
+from .probing import numbers, picture, view
+from .probing import probe as probe_ray
 
 app = typer.Typer()
 
@@ -219,3 +221,47 @@ def tradeoff(
             rows += tradeoff_runs.run(name, load(path, defines(define)), setup, add, tell)
         written = _write(directory, "tradeoff.png", tradeoff_runs.plot, rows)
     _show(quiet, shown, written)
+
+
+@app.command()
+@plainly
+def probe(
+    scene: Path = typer.Argument(..., metavar="SCENE", help="Scene file in Mitsuba's XML."),
+    pixel: tuple[int, int] = typer.Option(..., "--pixel", metavar="X Y", help="Pixel, from the upper left corner."),
+    directory: Path = typer.Option(..., "-o", "--output", help="Directory for probe.png, probe.html and probe.json."),
+    segment: int = typer.Option(0, "--segment", min=0, help="Segment of the ray inside bodies, by weight."),
+    parts: int = typer.Option(512, "--parts", min=2, help="Parts of it over which the total is averaged."),
+    samples: int = typer.Option(64, "--samples", min=1, help="Samples of the estimator point."),
+    bounces: int = typer.Option(4, "--internal-bounces", min=0, help="Internal reflections."),
+    tolerance: float = typer.Option(0.001, "--tolerance", min=0.0, max=1.0, help="Relative error aimed at."),
+    culling: str = typer.Option("beams", "--culling", help="How triangles are found: beams or spindle."),
+    variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant (rgb or mono)."),
+    define: list[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),
+):
+    """Look at one camera ray: where along it light is scattered, by which triangles, on which ways it comes.
+
+    Example: refscatter probe scenes/bumpy_sphere/scene.xml --pixel 40 30 -D res=64 -o out
+    """
+    known([culling], ("beams", "spindle"), "--culling", "culling")
+    variant = measurable(variant, directory)
+    require("matplotlib", "plotly")
+    import mitsuba as mi
+
+    mi.set_variant(variant)
+    import mitsuba_refscatter  # noqa: F401 - registers the plugins
+
+    loaded = load(scene, defines(define))
+    try:
+        found = probe_ray(loaded, *pixel, segment=segment, parts=parts, samples=samples, tolerance=tolerance,
+                          internal_bounces=bounces, culling=culling)  # fmt: skip
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise Failure(cause(error)) from error
+    name = str(scene)
+    output.write_file(
+        directory / "probe.json", lambda path: path.write_text(numbers.text_of(found, name), encoding="utf-8")
+    )
+    output.write_file(directory / "probe.png", lambda path: picture.draw(found, path))
+    output.write_file(directory / "probe.html", lambda path: view.write(found, path))
+    out.print(numbers.summary(found), markup=False)
+    for end in ("png", "html", "json"):
+        out.print(str(directory / f"probe.{end}"), markup=False)

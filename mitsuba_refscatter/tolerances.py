@@ -183,6 +183,14 @@ PASS_SAMPLES = 1 << 18
 """Most camera samples in one pass of the film, and most sample points of camera segments at a time."""
 
 
+PROFILE_CELLS = 64
+"""Cells of the curve in one light beam for a probe: the one point in each is then good to 1e-4, folds to 1e-5 of the light beam's part of
+the segment."""
+
+PEAK = 0.05
+"""How much of the largest radiance per unit length a maximum along a probed segment stands out by."""
+
+
 @dataclass(frozen=True)
 class Accuracy:
     """What the one knob ``tolerance`` selects.

@@ -112,7 +112,7 @@ def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=Fal
         )
     pace = pace or Pace()
     if estimator is not point:
-        return _sweep(segments, culling, lighting, accuracy, estimator, detail, progress, pace)
+        return sweep(segments, culling, lighting, accuracy, estimator, detail, progress, pace)
     n, sums, counts = accuracy.point_samples, Sums.nothing(len(segments), detail), Counts(segments=len(segments))
     at_once = max(1, min(n, tolerances.PASS_SAMPLES // len(segments)))
     for first in range(0, n, at_once):
@@ -120,13 +120,13 @@ def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=Fal
         index, points, weight = point.queries(segments, lighting, first, several, n, seed)
         dr.eval(index, points.o, weight)
         report = None if progress is None else lambda done, total: progress(first + several * done / total, n)
-        found, more = _sweep(points, culling, lighting.at(index), accuracy, point, detail, report, pace)
+        found, more = sweep(points, culling, lighting.at(index), accuracy, point, detail, report, pace)
         sums.add_all(found, weight, index)
         counts.leaves += more.leaves
     return sums.first(len(segments)), counts
 
 
-def _sweep(segments, culling, lighting, accuracy, estimator, detail, progress, pace):
+def sweep(segments, culling, lighting, accuracy, estimator, detail, progress, pace):
     """``scatter`` with all segments as they are."""
     n = len(segments)
     sums, counts = Sums.nothing(n, detail), Counts(segments=n)

@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parent.parent / "mitsuba_refscatter"
 # or to write a file (platform, output) knows nothing of the others.
 ORDER = [
     "spelling", "platform", "optics", "tolerances", "lanes", "kept", "sequence", "geometry", "scene", "visibility", "air", "solve", "culling",
-    "estimators", "wavefront", "camera", "options", "film", "integrators", "plugin", "scenes", "output",
+    "estimators", "wavefront", "camera", "options", "film", "integrators", "probing", "plugin", "scenes", "output",
     "compare", "meshcheck", "console", "comparing", "measuring", "cli", "__main__",
 ]  # fmt: skip
 
@@ -46,7 +46,8 @@ def test_imports_run_one_way(path):
 
 
 def test_the_package_itself_only_registers():
-    assert set(imported(PACKAGE / "__init__.py")) <= {"plugin"}
+    """But for ``probe``, which is imported when it is asked for."""
+    assert set(imported(PACKAGE / "__init__.py")) <= {"plugin", "probing"}
 
 
 def test_the_walk_sees_every_form_of_import(tmp_path, monkeypatch):

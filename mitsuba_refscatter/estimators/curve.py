@@ -119,13 +119,13 @@ def accumulate(sums, pairs, segments, culling, lighting, accuracy):
     return pairs.gather(dr.compress(cut))
 
 
-def _interval(pairs, chord, ends, tri, lighting, segment, newton):
+def lit_part(pairs, chord, ends, tri, lighting, segment, newton):
     """The interval of the chord to integrate over: all of it, or that of the pairs, whose ends are solved for."""
     if pairs.tau0 is None:
         return _clip(ends, mi.Float(0), mi.Float(1))
     limits = []
     for tau in (pairs.tau0, pairs.tau1):
-        point, _, _ = _solve(chord, chord.direction(tau), tri, lighting, segment, newton)
+        point, _, _ = solve(chord, chord.direction(tau), tri, lighting, segment, newton)
         t, s = meeting(point.P, point.omega, segment)
         limits.append(limits_at(point, t, s, tri, segment, lighting))
     return _clip(list(zip(*limits)), pairs.tau0, pairs.tau1)
@@ -140,7 +140,7 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     tri = taken.tri
     chord, ends = chord_of(taken.piece, tri, lighting, segment)
     newton = max(accuracy.newton, 1) if tri.curved else accuracy.newton
-    interval = _interval(pairs, chord, ends, tri, lighting, segment, newton)
+    interval = lit_part(pairs, chord, ends, tri, lighting, segment, newton)
     sigma_t = segments.sigma_t_of(pairs.segment)
     width = dr.maximum(interval.end - interval.start, 0)
     slope = dr.abs(interval.path[2])
@@ -158,7 +158,7 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     total, resolved, contributes, is_open = mi.Spectrum(0), mi.Bool(True), mi.Bool(False), mi.Bool(False)
     for tau, weight in zip(*tolerances.gauss(accuracy.points)):
         tau = interval.start + tau * (interval.end - interval.start)
-        point, inverse_slope, solved = _solve(chord, chord.direction(tau), tri, lighting, segment, newton)
+        point, inverse_slope, solved = solve(chord, chord.direction(tau), tri, lighting, segment, newton)
         t, s = meeting(point.P, point.omega, segment)
         cut |= may_cut & interval.unsure & (dr.abs(t + s - interval.path_at(tau)) > slack)
         active = chord.active & ~cut & (width > 0)
@@ -167,7 +167,7 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
         free, undecided = shadow(lighting, point, tri, s, taken, active)
         is_open |= active & undecided
         active &= free
-        value = weight * scale * inverse_slope * _integrand(point, lighting, segment)
+        value = weight * scale * inverse_slope * integrand(point, lighting, segment)
         value *= dr.exp(-sigma_t * t - lighting.extinction(sigma_t, point.omega, segment.d) * s)
         if accuracy.points == 1:  # the mean of the exponential along the interval, relative to its middle
             value *= _sinhc(0.5 * change)
@@ -181,7 +181,7 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     return is_open, cut
 
 
-def _integrand(point, lighting, segment):
+def integrand(point, lighting, segment):
     """What stands before the attenuation, per area in (u, v): T A2 |omega . Ng| p / d_L^2, for lights that
     do not send the same into all directions times what they do."""
     measure = optics.transmission(point.c_L, point.c_V, lighting.eta) * dr.abs(dr.dot(point.omega, point.area))
@@ -195,7 +195,7 @@ def _sinhc(x):
     return 1 + y / 6 + dr.square(y) / 120
 
 
-def _solve(chord, D, tri, lighting, segment, newton):
+def solve(chord, D, tri, lighting, segment, newton):
     """The root of g on the ray from M along D, starting at the chord (lambda = 1).
 
     Returns the point there, lambda / |dg/dlambda|, and whether it was found. Where Newton's method leaves the
