@@ -245,6 +245,7 @@ def test_convergence_draws_a_plot(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["convergence.png", "results.json"]
 
 
+@pytest.mark.slow
 @needs_variant
 def test_equal_error_measures_and_extrapolates(tmp_path):
     """A tiny run through the command: the rows, the extrapolation, the picture."""

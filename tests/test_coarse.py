@@ -72,7 +72,7 @@ def image(scene, tolerance, seed=0):
     return np.array(integrator.render(scene, seed=seed, spp=1), dtype=np.float64), integrator
 
 
-@pytest.mark.parametrize("tolerance", [0.3, 0.1])
+@pytest.mark.parametrize("tolerance", build.slow_ones([0.3, 0.1], [0.3]))
 @pytest.mark.parametrize("name", ["bumpy_sphere", "branches"])
 def test_coarse_meshes_keep_to_the_tolerance(rgb, tmp_path, name, tolerance):
     path, _ = scenes.write_scene(name, tmp_path, 20480)

@@ -60,7 +60,7 @@ def segments_through(mesh, direction):
 
 @pytest.mark.parametrize("mesh, eta, sigma_t", [
     pytest.param(icosphere(3), 1.5, 0.5, marks=pytest.mark.slow), (bumps(3), 1.5, 0.5),
-    pytest.param(bumps(3), 1.3, 2.0, marks=pytest.mark.slow), (bumps(3), 0.8, 0.5),
+    pytest.param(bumps(3), 1.3, 2.0, marks=pytest.mark.slow), pytest.param(bumps(3), 0.8, 0.5, marks=pytest.mark.slow),
 ], ids=["ball", "bumps", "dense bumps", "bubble"])  # fmt: skip
 def test_power(rgb, tmp_path, mesh, eta, sigma_t):
     mesh, light = build.rounded_mesh(mesh), np.array([-2.6, 2.4, -0.9])

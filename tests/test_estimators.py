@@ -21,7 +21,7 @@ LIGHT, CAMERA = (-2.6, 2.4, -0.9), (0.0, 1.1, 5.2)
 
 
 @pytest.mark.parametrize("most", [4096, pytest.param(16384, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("scene", convergence.SCENES)
+@pytest.mark.parametrize("scene", build.slow_ones(convergence.SCENES, ["rounded_cube", "branches"]))
 def test_estimators_converge_to_the_same_image(rgb, scene, most):
     """As their samples grow, interval and point come to within 1 % of the curve (relative L1 over the image)."""
     rows = convergence.run(scene, most, variant=rgb, resolution=10)
