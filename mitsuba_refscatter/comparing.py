@@ -1,4 +1,4 @@
-"""The command ``refscatter compare``."""
+"""The commands ``refscatter compare`` and ``refscatter gallery``."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import typer
 from . import output
 from . import scenes as scene_files
 from .compare import duel, race, report, results
+from .compare import gallery as galleries
 from .compare import suite as suites
 from .compare.methods import METHODS
 from .console import QUIET, Failure, cause, defines, known, load, measurable, out, plainly, progress, require, table
@@ -77,6 +78,35 @@ def compare(
     except (RuntimeError, ValueError, TypeError) as error:
         raise Failure(cause(error)) from error
     _write(directory, [outcome], quiet)
+
+
+@app.command()
+@plainly
+def gallery(
+    directory: Path = typer.Option(..., "-o", "--output", help="Directory for the three strips, as PNG."),
+    size: int = typer.Option(200, "--resolution", min=1, help="Pixels on a side of each tile."),
+    samples: int = typer.Option(4, "--samples", min=1, help="Samples per pixel."),
+    seconds: float = typer.Option(5.0, "--seconds", min=0.1, help="Wall time of each method, in the strip of methods."),
+    variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant (rgb)."),
+    quiet: bool = QUIET,
+):
+    """Make the README's gallery: scenes, densities, methods at equal time.
+
+    Example: refscatter gallery -o scenes/gallery
+    """
+    variant = measurable(variant, directory)
+    require("matplotlib", "flip_evaluator")
+    import mitsuba as mi
+
+    mi.set_variant(variant)
+    import mitsuba_refscatter  # noqa: F401 - registers the plugins
+
+    with progress("gallery", None, quiet) as tell:
+        for path in galleries.write(
+            directory, size, samples, variant, seconds, lambda name: tell(0, f"gallery: {name}")
+        ):
+            if not quiet:
+                out.print(str(path), markup=False)
 
 
 def _suite(directory, methods, setup, resolution, quiet):

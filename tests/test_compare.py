@@ -142,3 +142,16 @@ def test_the_suite_can_be_made(rgb, tmp_path):
         found = mi.traverse(replace(case, triangles=80).subject(tmp_path, 8).load())
         assert found[scale] == pytest.approx(case.density * plain[scale])
         assert np.allclose(position(found), case.light or position(plain))
+
+
+@pytest.mark.slow
+@needs_variant
+def test_gallery(tmp_path):
+    """Three strips: four tiles, two rows of four, one tile per method, all of them with light."""
+    done = refscatter("gallery", "--resolution", 12, "--samples", 1, "--seconds", 0.1, "-o", tmp_path)
+    assert done.returncode == 0, done.stderr
+    for name, rows, columns in (("scenes", 1, 4), ("densities", 2, 4), ("methods", 1, len(methods.METHODS))):
+        image = np.array(mi.Bitmap(str(tmp_path / f"{name}.png")))
+        assert image.shape == (16 * rows - 4, 16 * columns - 4, 3)
+        tiles = [image[16 * i : 16 * i + 12, 16 * j : 16 * j + 12] for i in range(rows) for j in range(columns)]
+        assert min(tile.max() for tile in tiles) > 60, [tile.max() for tile in tiles]
