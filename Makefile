@@ -19,6 +19,7 @@ test: $(VENV)/.test llvm
 
 test-all: $(VENV)/.test llvm
 	$(BIN)/python -m pytest -n 2 -m "" --references-anew
+	$(BIN)/python -m pytest --nbmake notebooks
 
 references: $(VENV)/.test llvm
 	$(BIN)/python -m pytest -n 2 --make-references
