@@ -1,6 +1,6 @@
 """One camera ray looked at closely: where along it light is scattered, by which triangles, and on which ways it comes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -73,7 +73,7 @@ class Probe:
     ``integral`` (C,): over the segment, and ``estimated`` (C,): the same as the estimator ``curve`` finds it; ``unresolved``: share of the
     integral where the linear light beam stood in for the curve. ``peaks`` (K,): distances of maxima of the luminance that stand out by
     ``tolerances.PEAK`` of the largest. ``curve``, ``triangles``: the light paths; ``samples``: those of the estimator ``point``.
-    ``lights``, ``boundaries``: what the numbers in these mean.
+    ``lights``, ``boundaries``: what the numbers in these mean; ``left_out``: names of lights that are not one point or direction, and not summed.
     """
 
     pixel: tuple
@@ -91,6 +91,7 @@ class Probe:
     triangles: Triangles
     samples: Samples
     lights: list
+    left_out: list
     boundaries: list
 
 
@@ -104,7 +105,8 @@ def probe(
     it, equal ones, over which the total is averaged; ``samples`` (>= 1): of the estimator ``point``; ``tolerance``, ``internal_bounces``, ``culling``: as
     of the integrator, but that no coarser mesh takes a body's place and roots are exact to float32.
 
-    All lights that are one point or direction are summed. Raises ``ProbeError`` for other lights, a pixel outside of the image, a ray without such a
+    All lights that are one point or direction are summed; others are left out, and named in the result. Raises ``ProbeError`` where there are only
+    others, for a pixel outside of the image, a ray without such a
     segment, and spectral variants; ``scene.SceneError`` as the integrator does.
     """
     platform.require_usable(mi.variant())
@@ -116,7 +118,7 @@ def probe(
         raise ProbeError(f"{parts} parts and {samples} samples are too few: take at least 2 and 1")
     refuse_gradients(scene)
     with dr.suspend_grad():
-        prepared = _prepared(scene, tolerance, internal_bounces, culling)
+        prepared, left_out = _prepared(scene, tolerance, internal_bounces, culling)
         film_sensor = scene.sensors()[sensor]
         ray = _camera_ray(film_sensor, x, y)
         start = prepared.start(film_sensor.get_medium(), ray)
@@ -132,21 +134,23 @@ def probe(
             )
         segments, places = zip(*found)
         one = _Along(prepared, places[segment], paths, ray, parts)
-        return _probe((x, y), ray, list(segments), segment, one, samples)
+        return _probe((x, y), ray, list(segments), segment, one, samples, left_out)
 
 
 def _prepared(scene, tolerance, internal_bounces, culling):
-    """``lit.Prepared`` for exact roots on the meshes themselves. Refuses lights that are no point or direction."""
+    """``lit.Prepared`` for exact roots on the meshes themselves. of the lights that are one point or direction, and the names of the others."""
     changes = {"coarse": 0.0, "samples_visibility": False}
     chosen = options.Options(
         tolerance=float(tolerance), internal_bounces=internal_bounces, culling=culling, surfaces=False
     )
     prepared = lit.Prepared(scene, chosen, lambda: 0, Kept(), changes=changes)
-    for light in prepared.scene.lights:
-        if light.exact is None:
-            raise ProbeError(f"{light.name} is not one point or direction, of which alone light can be followed to a ray: take a point, spot, "
-                             "projector or directional light in its place")  # fmt: skip
-    return prepared
+    exact = [light for light in prepared.scene.lights if light.exact is not None]
+    left_out = [light.name for light in prepared.scene.lights if light.exact is None]
+    if not exact:
+        raise ProbeError(f"{' and '.join(left_out)} is not one point or direction, of which alone light can be followed to a ray: add a point, "
+                         "spot, projector or directional light")  # fmt: skip
+    prepared.scene, prepared.sequence = replace(prepared.scene, lights=exact), None
+    return prepared, left_out
 
 
 def _camera_ray(sensor, x, y):
@@ -249,7 +253,7 @@ class _Along:
         return Samples(lights, t, density, np.zeros(channels) + estimate)
 
 
-def _probe(pixel, ray, segments, number, one, samples):
+def _probe(pixel, ray, segments, number, one, samples, left_out):
     """``Probe`` of a segment."""
     n, length = one.parts, one.length
     refracted, found = np.zeros((n, len(mi.Spectrum(0)))), []
@@ -270,7 +274,7 @@ def _probe(pixel, ray, segments, number, one, samples):
         integral=integral, estimated=one.estimate()[0], unresolved=unresolved / max(integral.sum(), 1e-30), peaks=peaks(distance, total),
         curve=curve, triangles=triangles, samples=one.samples(samples),
         lights=[Light(light.name, _numbers(light.exact.L)[0], light.exact.distant) for light in scene.lights],
-        boundaries=[Boundary(body.name, body.corners) for body in one.region.boundaries],
+        left_out=left_out, boundaries=[Boundary(body.name, body.corners) for body in one.region.boundaries],
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ def text_of(probe, name=None):
         "schema": SCHEMA, "units": UNITS, "scene": name, "pixel": list(probe.pixel), "camera": probe.camera, "segments": segments,
         "segment": probe.segment, "integral": probe.integral, "estimated": probe.estimated, "unresolved": probe.unresolved,
         "lights": [{"name": x.name, "direction" if x.distant else "position": x.position} for x in probe.lights],
-        "boundaries": [x.name for x in probe.boundaries],
+        "lights_left_out": probe.left_out, "boundaries": [x.name for x in probe.boundaries],
         "triangles": [
             {"light": of.light[k], "boundary": of.boundary[k], "triangle": of.triangle[k], "x_min": of.x_min[k], "x_max": of.x_max[k],
              "integral": of.integral[k]} for k in range(len(of.triangle))
@@ -44,6 +44,7 @@ def summary(probe):
         f"{len(probe.triangles.triangle)} triangles, {folds} folds, {len(probe.peaks)} peaks\n"
         f"radiance {_row(probe.integral)}; estimator curve {_row(probe.estimated)}, "
         f"point with {len(probe.samples.distance)} samples {_row(probe.samples.estimate)}"
+        + "".join(f"\nleft out, as it is not one point or direction: {name}" for name in probe.left_out)
     )
 
 
