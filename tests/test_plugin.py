@@ -12,6 +12,7 @@ from comparison import z_values
 from meshes import bumpy_sphere
 
 import mitsuba_refscatter
+from mitsuba_refscatter import tolerances
 from mitsuba_refscatter.scenes import write_ply
 
 
@@ -130,6 +131,19 @@ def test_counts(rgb, body):
     assert contributions.max() > 1
     assert (candidates >= contributions * (1 - 1e-5)).all()
     assert unresolved.min() >= 0 and unresolved.max() <= 1
+
+
+@pytest.mark.parametrize("most, share", [(tolerances.MOST_UNRESOLVED, None), (-1.0, "%")])
+def test_what_is_not_resolved_is_told_once(rgb, body, monkeypatch, capfd, most, share):
+    """With the share that the AOV shows, and only where it is larger than usual."""
+    monkeypatch.setattr(tolerances, "MOST_UNRESOLVED", most)
+    film = {"rfilter": {"type": "box"}}
+    result = image(scene(body, refscatter(tolerance=0.0, aovs="unresolved"), **film))
+    told = [line for line in "".join(capfd.readouterr()).splitlines() if "are not known to the tolerance" in line]
+    assert len(told) == (share is not None)
+    assert result[..., -1].mean() < tolerances.MOST_UNRESOLVED or share is not None
+    if told:
+        assert f"{result[..., -1].mean():.1%}" in told[0]
 
 
 def test_extra_channels_are_the_same_inside_aov(rgb, body):
