@@ -199,7 +199,7 @@ class Accuracy:
     camera segment that needs it a beam is subdivided. ``clip``: the same for t + s along a curve that begins or ends
     inside a beam, relative to its change there.
     ``bend``: largest deviation of a light beam from a linear one, relative to its width; beams that are
-    bent more are subdivided. ``points``: Gauss points along the curve in one beam. ``newton``: Newton
+    bent more are subdivided. ``points``: Gauss points along the curve in one beam, ``guest_points`` where shadows of other objects may end on it. ``newton``: Newton
     steps per point, on patches 1 at least. ``weight``: camera legs with a smaller weight are dropped. ``interval_samples``, ``point_samples``: per
     interval and per camera segment, of the estimators of these names; ``point_samples`` do not reach the tolerance, the noise is about 0.5 / sqrt(samples).
     ``panels``, ``panel_points``: of the quadrature for light that is not refracted, and ``lobes``: error that it may make of a phase
@@ -210,6 +210,7 @@ class Accuracy:
 
     bend: float
     points: int
+    guest_points: int
     newton: int
     weight: float
     linear: float
@@ -228,6 +229,7 @@ TIERS = {
     0.1: Accuracy(
         bend=0.5,
         points=1,
+        guest_points=1,
         newton=0,
         weight=0.2,
         linear=1.0,
@@ -243,6 +245,7 @@ TIERS = {
     0.01: Accuracy(
         bend=0.1,
         points=1,
+        guest_points=1,
         newton=1,
         weight=0.1,
         linear=0.25,
@@ -258,6 +261,7 @@ TIERS = {
     0.001: Accuracy(
         bend=0.05,
         points=2,
+        guest_points=4,
         newton=2,
         weight=1e-2,
         linear=0.1,
@@ -272,6 +276,7 @@ TIERS = {
     0.0: Accuracy(
         bend=0.02,
         points=4,
+        guest_points=8,
         newton=3,
         weight=1e-2,
         linear=0.05,

@@ -20,7 +20,7 @@ class Shadows:
 
     ``lit(P, Ng, L, active)``: nothing between the light and P (body coordinates); ``inside(P, Ng, direction,
     length, active)``: nothing between P and the point at ``length``. A test is None where nothing can be in
-    the way: a convex body does not shadow itself. ``light``: ``optics.Source``, one, for ``seen`` alone; ``emitter``: a
+    the way: a convex body does not shadow itself; ``guests``: whether other shapes may be inside. ``light``: ``optics.Source``, one, for ``seen`` alone; ``emitter``: a
     shape that the light's points lie on, where it is convex: it is not in the way of what it sends; ``straight``: whether
     light on its way to the body is followed by ``Air`` instead; ``sampled``: whether what is lit may be judged by samples.
     """
@@ -32,10 +32,10 @@ class Shadows:
         self.offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * body.extent + body.apart)
         other_bodies = [other.shape for other in scene.bodies if other.shape is not body.shape]
         self.others = [shape for shape in scene.others if shape is not emitter]
-        guests = any(meets(body, shape) for shape in scene.others + other_bodies)
+        self.guests = any(meets(body, shape) for shape in scene.others + other_bodies)
         self.lit = None if straight or (body.convex and not self.others and not other_bodies) else self._lit
-        self.inside = None if body.convex and not guests else self._inside
-        self.may_prove_inside = self.inside is not None and not guests and body.closed
+        self.inside = None if body.convex and not self.guests else self._inside
+        self.may_prove_inside = self.inside is not None and not self.guests and body.closed
 
     def _lit(self, P, Ng, L, active):
         start = P + self.offset * Ng

@@ -23,7 +23,7 @@ CHOICES = {
     "mesh": ("coarse",),
     "visibility": ("samples_visibility",),
     "Newton": ("newton",),
-    "quadrature": ("points",),
+    "quadrature": ("points", "guest_points"),
     "subdivision": ("bend", "linear"),
     "clipping": ("clip",),
     "weak paths": ("weight",),

@@ -156,7 +156,8 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     slack = dr.opaque(mi.Float, accuracy.clip) * slope / steepest
     scale = chord.scale * width
     total, resolved, contributes, is_open = mi.Spectrum(0), mi.Bool(True), mi.Bool(False), mi.Bool(False)
-    for tau, weight in zip(*tolerances.gauss(accuracy.points)):
+    points = accuracy.guest_points if lighting.guests else accuracy.points
+    for tau, weight in zip(*tolerances.gauss(points)):
         tau = interval.start + tau * (interval.end - interval.start)
         point, inverse_slope, solved = solve(chord, chord.direction(tau), tri, lighting, segment, newton)
         t, s = meeting(point.P, point.omega, segment)
@@ -169,7 +170,7 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
         active &= free
         value = weight * scale * inverse_slope * integrand(point, lighting, segment)
         value *= dr.exp(-sigma_t * t - lighting.extinction(sigma_t, point.omega, segment.d) * s)
-        if accuracy.points == 1:  # the mean of the exponential along the interval, relative to its middle
+        if points == 1:  # the mean of the exponential along the interval, relative to its middle
             value *= _sinhc(0.5 * change)
         finite = dr.all(dr.isfinite(value))
         resolved &= ~active | (solved & finite)

@@ -17,7 +17,8 @@ class Lighting:
     omega and a camera ray along d; ``lit(P, Ng, L, active)``, ``inside(P, Ng, direction, length, active)``: visibility tests,
     or None where nothing can be in the way; ``emission(P, omega_L, d_L)``: what arrives at P relative to a light that sends
     the same into all directions, or None for such a light (``emission.at(segment)``: that of camera segments);
-    ``directed(omega, d)``: extinction along omega relative to that along d, or None where it is the same.
+    ``directed(omega, d)``: extinction along omega relative to that along d, or None where it is the same; ``guests``: whether other
+    objects may throw shadows inside.
     """
 
     light: optics.Source
@@ -27,6 +28,7 @@ class Lighting:
     inside: object
     emission: object = None
     directed: object = None
+    guests: bool = False
 
     def at(self, segment):
         """The lighting of camera segments (indices)."""

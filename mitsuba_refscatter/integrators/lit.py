@@ -117,7 +117,9 @@ class Prepared:
         if self.through_media(body):
             emission = Arrival(emission, source, Air(self.scene, wavelengths), body)
         side = (body.eta > 1) - (body.eta < 1)
-        return Lighting(source, side, region.phase, shadows.lit, shadows.inside, emission, region.directed)
+        return Lighting(
+            source, side, region.phase, shadows.lit, shadows.inside, emission, region.directed, shadows.guests
+        )
 
     def lit(self, body, region, light_point, wavelengths=None, key=None):
         """``(lighting, culling)`` of a light point in the region inside a boundary, made once per ``key`` if that is given; the
