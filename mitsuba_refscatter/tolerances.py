@@ -187,6 +187,10 @@ PROFILE_CELLS = 64
 """Cells of the curve in one light beam for a probe: the one point in each is then good to 1e-4, folds to 1e-5 of the light beam's part of
 the segment."""
 
+APART = 1e-4
+"""Least distance of V from P in the point form of a probe, relative to the larger of the body and the segment: their direction is
+then good to 1e-3."""
+
 PEAK = 0.05
 """How much of the largest radiance per unit length a maximum along a probed segment stands out by."""
 

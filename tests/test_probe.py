@@ -132,6 +132,19 @@ def shadow_rays(points, light):
 
 
 @needs_variant
+def test_point_form_and_curve_form_agree(probe):
+    """Simpson's rule for the radiance per unit length over each cell is what the cell brings; but for those with a fold, where it is infinite, and
+    those next to them, where the rule is not good for it."""
+    curve = probe.curve
+    mean = np.tensordot(curve.radiance, [1 / 6, 4 / 6, 1 / 6], axes=([1], [0]))
+    error = np.abs(mean * np.abs(curve.distance[:, 2] - curve.distance[:, 0])[:, None] - curve.integral)
+    folded = np.isfinite(curve.fold)
+    near = folded | np.roll(folded, 1) | np.roll(folded, -1)
+    smooth = ~near
+    assert error[smooth].sum() < 5e-3 * curve.integral.sum() and error[smooth].max() < 1e-4 * curve.integral.sum()
+
+
+@needs_variant
 def test_folds_are_where_the_curve_turns_back(probe, truth):
     """By distances in float64 the curve of a triangle with a fold lies on one side of it, comes to it, and is bright there."""
     _, t, _, _ = lines(probe, truth)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from .. import lanes
+from .. import lanes, tolerances
 from ..culling import beam as light_beam
 from ..solve.constraint import connect
 from . import curve, point_form
@@ -75,7 +75,7 @@ def _cells(pairs, segments, culling, lighting, accuracy):
         found = curve.solve(chord, chord.direction(part.start + share * width), tri, lighting, segment, accuracy.newton)
         point, inverse_slope, solved = found
         t, s = meeting(point.P, point.omega, segment)
-        density, slope = _density(point, t, chord, tri, lighting, segment, sigma_t)
+        density, slope = _density(point, t, s, chord, tri, lighting, segment, sigma_t)
         for values, value in zip((cells.t, cells.P, cells.density, cells.slope), (t, point.P, density, slope)):
             values.append(value)
         if share == 0.5:
@@ -89,9 +89,14 @@ def _cells(pairs, segments, culling, lighting, accuracy):
     return cells, exists
 
 
-def _density(point, t, chord, tri, lighting, segment, sigma_t):
-    """The point form at a point of the curve, and the sign of dt along it in the direction of the chord."""
-    path = connect(tri, lighting.light, segment.o + t * segment.d, segment.d, point.u, point.v)
+def _density(point, t, s, chord, tri, lighting, segment, sigma_t):
+    """The point form at a point of the curve, and the sign of dt along it in the direction of the chord.
+
+    Where the segment meets the boundary, next to P, V is moved on along the light, as its direction from P would be rounding.
+    """
+    nearest = tolerances.APART * dr.maximum(dr.norm(point.P), segment.t_max)
+    V = dr.select(s > nearest, segment.o + t * segment.d, point.P + nearest * point.omega)
+    path = connect(tri, lighting.light, V, segment.d, point.u, point.v)
     value = point_form.in_scattered(path, tri, segment.d, lighting, sigma_t) * dr.exp(-sigma_t * t)
     tangent, along = path.residual(lighting.straight).tangent(), chord.to_E2 - chord.to_E1
     return value, dr.sign(tangent.x * (tangent.y * along.x + tangent.z * along.y))

@@ -106,8 +106,8 @@ def probe(
     of the integrator, but that no coarser mesh takes a body's place and roots are exact to float32.
 
     All lights that are one point or direction are summed; others are left out, and named in the result. Raises ``ProbeError`` where there are only
-    others, for a pixel outside of the image, a ray without such a
-    segment, and spectral variants; ``scene.SceneError`` as the integrator does.
+    others, for a pixel outside of the image, a ray without such a segment, too few parts or samples, and spectral variants; ``scene.SceneError`` as
+    the integrator does.
     """
     platform.require_usable(mi.variant())
     if mi.is_spectral:
@@ -138,8 +138,8 @@ def probe(
 
 
 def _prepared(scene, tolerance, internal_bounces, culling):
-    """``lit.Prepared`` for exact roots on the meshes themselves. of the lights that are one point or direction, and the names of the others."""
-    changes = {"coarse": 0.0, "samples_visibility": False}
+    """``lit.Prepared`` for exact roots on the meshes themselves, with those of the lights that are one point or direction, and the names of the others."""
+    changes = {"newton": tolerances.accuracy(0.0).newton, "coarse": 0.0, "samples_visibility": False}
     chosen = options.Options(
         tolerance=float(tolerance), internal_bounces=internal_bounces, culling=culling, surfaces=False
     )

@@ -50,10 +50,10 @@ def _total(panel, probe, top):
     samples = probe.samples
     each = "" if len(probe.lights) == 1 else ", each of one light"
     panel.plot(samples.distance, np.minimum(luminance(samples.radiance), 0.985 * top), ".", color="C0", markersize=7,
-               label=f"{len(samples.distance)} samples of the estimator point{each}")  # fmt: skip
+               label=f"samples of the estimator point ({len(samples.distance)}){each}")  # fmt: skip
     panel.plot(samples.distance, np.full(len(samples.distance), -0.03 * top), "|", color="C0", markersize=7)
     height = np.interp(probe.peaks, probe.distance, y)
-    panel.plot(probe.peaks, height + 0.03 * top, "v", color="C3", markersize=6, label=f"{len(probe.peaks)} peaks")
+    panel.plot(probe.peaks, height + 0.03 * top, "v", color="C3", markersize=6, label=f"peaks ({len(probe.peaks)})")
     panel.set(ylim=(-0.06 * top, top), ylabel="radiance per unit length\n(luminance, at the camera)")
     panel.legend(fontsize=9, loc="upper right")
 
@@ -69,11 +69,10 @@ def _triangles(panel, probe, top):
         panel.plot(x.ravel(), z.ravel(), color=colour, linewidth=1.3)
     folds = curve.fold[np.isfinite(curve.fold)]
     for i, t in enumerate(folds):
-        panel.axvline(t, color="0.3", linestyle="--", linewidth=0.8, label=f"{len(folds)} folds" if i == 0 else None)
+        panel.axvline(t, color="0.3", linestyle="--", linewidth=0.8, label=f"folds ({len(folds)})" if i == 0 else None)
     panel.plot(folds, np.full(len(folds), 0.8 * DECADES[1] * top), "v", color="0.3", markersize=5)
-    panel.set(
-        yscale="log", ylim=(DECADES[0] * top, DECADES[1] * top), ylabel=f"the same of each of\n{number} triangles"
-    )
+    low = max(DECADES[0] * top, 0.5 * y[y > 0].min(initial=top))
+    panel.set(yscale="log", ylim=(low, DECADES[1] * top), ylabel=f"the same of each of\n{number} triangles")
     if len(folds):
         panel.legend(fontsize=9, loc="upper right")
 

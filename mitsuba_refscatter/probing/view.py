@@ -13,8 +13,11 @@ MOST_TRIANGLES = 50_000
 GRID = 96
 """Cells of that grid along the body's longest side."""
 
+AROUND = 2.0
+"""How far around the segment and the curve bodies are shown, relative to the diagonal of their box."""
+
 OUTSIDE = 0.6
-"""How far rays to the camera and to lights are drawn outside of the bodies, relative to the diagonal of their box."""
+"""How far rays to the camera and to lights are drawn, relative to the diagonal of the box of what is shown of bodies."""
 
 
 def write(probe, path):
@@ -22,11 +25,16 @@ def write(probe, path):
     from plotly import graph_objects
 
     figure = graph_objects.Figure(layout=_layout(probe))
-    corners = [boundary.corners for boundary in probe.boundaries]
-    size = np.ptp(np.concatenate(corners).reshape(-1, 3), axis=0) if corners else np.zeros(3)
-    reach = OUTSIDE * max(np.linalg.norm(size), probe.segments[probe.segment].length)
+    low, high = _surroundings(probe)
+    segment = probe.segments[probe.segment]
+    ends = [segment.origin, segment.origin + segment.length * segment.direction]
     for boundary in probe.boundaries:
-        figure.add_trace(_mesh(graph_objects, boundary))
+        near = ((boundary.corners.min(axis=1) <= high) & (boundary.corners.max(axis=1) >= low)).all(axis=1)
+        if near.any():
+            name = boundary.name if near.all() else f"{boundary.name}, near the segment"
+            figure.add_trace(_mesh(graph_objects, boundary.corners[near], name))
+            ends += [f(boundary.corners[near], axis=(0, 1)) for f in (np.min, np.max)]
+    reach = OUTSIDE * np.linalg.norm(np.ptp(np.clip(ends, low, high), axis=0))
     for line in (*_camera_ray(probe, reach), *_light_paths(probe, reach), *_curve(probe)):
         figure.add_trace(graph_objects.Scatter3d(**line))
     figure.write_html(path, include_plotlyjs=True, config={"displaylogo": False})
@@ -55,11 +63,21 @@ def _eye(probe):
     return {"eye": dict(zip("xyz", eye)), "up": dict(zip("xyz", (0, 1, 0)))}
 
 
-def _mesh(graph_objects, boundary):
-    vertices, faces = _joined(boundary.corners)
+def _surroundings(probe):
+    """The box (low, high) in which bodies are shown."""
+    segment = probe.segments[probe.segment]
+    ends = [segment.origin + share * segment.length * segment.direction for share in (0, 1)]
+    points = np.concatenate([ends, probe.curve.position.reshape(-1, 3)])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = AROUND * np.linalg.norm(high - low)
+    return low - margin, high + margin
+
+
+def _mesh(graph_objects, corners, name):
+    vertices, faces = _joined(corners)
     return graph_objects.Mesh3d(
         **dict(zip("xyz", vertices.T)), **dict(zip("ijk", faces.T)), color="#9db4c8", opacity=0.2, hoverinfo="skip",
-        name=boundary.name, showlegend=True, flatshading=False,
+        name=name, showlegend=True, flatshading=False,
     )  # fmt: skip
 
 
