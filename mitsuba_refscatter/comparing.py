@@ -90,7 +90,7 @@ def gallery(
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant (rgb)."),
     quiet: bool = QUIET,
 ):
-    """Make the README's gallery: scenes, densities, methods at equal time.
+    """Make the pictures of the README's gallery.
 
     Example: refscatter gallery -o scenes/gallery
     """

@@ -238,7 +238,7 @@ def probe(
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant (rgb or mono)."),
     define: list[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),
 ):
-    """Look at one camera ray: where along it light is scattered, by which triangles, on which ways it comes.
+    """Show what is added up along one camera ray.
 
     Example: refscatter probe scenes/bumpy_sphere/scene.xml --pixel 40 30 -D res=64 -o out
     """

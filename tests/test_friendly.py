@@ -119,7 +119,7 @@ def test_progress_is_shown_on_a_terminal_only(terminal, quiet, monkeypatch):
 def test_every_long_command_can_be_quiet():
     commands = get_command(cli.app).commands
     quiet = {name for name in COMMANDS if any("--quiet" in p.opts for p in commands[name].params)}
-    assert quiet == {"render", "compare", "scaling", "convergence", "equal-error", "tradeoff"}
+    assert quiet == {"render", "compare", "gallery", "scaling", "convergence", "equal-error", "tradeoff"}
     assert_one_sentence(refscatter("scaling", "--quiet"), "nothing would be left", code=2)
 
 

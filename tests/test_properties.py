@@ -41,7 +41,7 @@ SCENES = {
 }  # fmt: skip
 
 
-@settings(max_examples=20, derandomize=True, **SETTINGS)
+@settings(max_examples=8, derandomize=True, **SETTINGS)
 @given(**SCENES)
 def test_any_scene(tmp_path_factory, **scene):
     check(tmp_path_factory.mktemp("any"), **scene)

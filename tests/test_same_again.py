@@ -38,6 +38,7 @@ EVERY = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", EVERY)
 def test_with_any_number_of_threads(rgb, tmp_path, options):
     if not rgb.startswith("llvm"):
@@ -145,6 +146,7 @@ def test_an_obstacle_moves(rgb, tmp_path, kind):
     assert np.abs(found[1] - lit).sum() < 1e-3 * lit.sum()
 
 
+@pytest.mark.slow
 def test_two_scenes_with_one_integrator(rgb, tmp_path):
     first, second = load(tmp_path, "bumpy_sphere", 5120, 16), load(tmp_path, "branches", 5120, 16)
     one = refscatter()
