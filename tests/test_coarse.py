@@ -76,7 +76,7 @@ def image(scene, tolerance, seed=0):
 @pytest.mark.parametrize("name", ["bumpy_sphere", "branches"])
 def test_coarse_meshes_keep_to_the_tolerance(rgb, tmp_path, name, tolerance):
     path, _ = scenes.write_scene(name, tmp_path, 20480)
-    scene = mi.load_file(str(path), optimize=False, res="64")
+    scene = scenes.load(path, res=64)
     exact, _ = image(scene, 1e-3)
     found, integrator = image(scene, tolerance)
     assert np.abs(found - exact).sum() < tolerance * exact.sum()

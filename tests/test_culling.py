@@ -11,7 +11,7 @@ from meshes import BoxTree, Mesh, bumpy_sphere, dot, make_patches, norm, take
 from pairs import Culling, bevelled_box, chords, lost_and_looked_at, one_body, random_case, torus, wavy
 from test_accuracy import read_mesh
 
-from mitsuba_refscatter import tolerances, wavefront
+from mitsuba_refscatter import scenes, tolerances, wavefront
 from mitsuba_refscatter.culling import beam
 from mitsuba_refscatter.culling import beams as light_beams
 from mitsuba_refscatter.geometry import mesh as mesh_facts
@@ -75,7 +75,7 @@ def test_beams_into_a_corner(rgb, tmp_path):
 
 def test_little_is_looked_at_in_vain(rgb):
     """On the shipped bumpy sphere at most 6 candidates per contributing pair are wanted; there are 1.1 to 1.3."""
-    scene = mi.load_file("scenes/bumpy_sphere/scene.xml", optimize=False, res=64)
+    scene = scenes.load("scenes/bumpy_sphere/scene.xml", res=64)
     mesh, light = read_mesh(scene), np.array(mi.traverse(scene.emitters()[0])["position"]).ravel().astype(float)
     rays = build.rays_at((0.0, 1.1, 5.2), 0.95, 120, seed=5)
     legs = oracle.camera_segments([oracle.Body(mesh, 1.5, np.ones(1), np.ones(1))], *rays, 1)

@@ -16,7 +16,7 @@ SIZES = {"bumpy_sphere": 5120, "sphere": 1280, "rounded_cube": 5000, "branches":
 
 def scene_and_rays(name, folder, n):
     path, _ = scenes.write_scene(name, folder, SIZES[name])
-    scene = mi.load_file(str(path), optimize=False)
+    scene = scenes.load(path)
     ray, _ = scene.sensors()[0].sample_ray(
         0, 0.5, mi.Point2f(*np.random.default_rng(2).uniform(0.25, 0.75, (2, n))), mi.Point2f(0.5)
     )

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -112,7 +111,7 @@ def test_committed_files_are_what_the_command_writes(name, tmp_path):
 @pytest.mark.parametrize("name", scenes.scene_names())
 def test_scenes_load_and_are_lit(name, variant):
     text = (COMMITTED / name / "scene.xml").read_text()
-    scene = mi.load_file(str(COMMITTED / name / "scene.xml"), optimize=False, res=16)
+    scene = scenes.load(COMMITTED / name / "scene.xml", res=16)
     body = next(shape for shape in scene.shapes() if shape.id() == "body")
     assert body.is_mesh() and body.has_vertex_normals() and body.interior_medium() is not None
     assert body.face_count() == scenes.SCENES[name].triangles

@@ -82,7 +82,7 @@ def write_scene(name: str, directory, triangles: int | None = None) -> tuple[Pat
 
 def load(path, **values):
     """Load a scene file with these parameters: its shapes one by one, not merged, since merged ones lose the names that error
-    messages need; and not in parallel, in which a film was once not made for no reason."""
+    messages need; and not in parallel, in which a film and a reflectance were once not made for no reason."""
     import mitsuba as mi
 
     return mi.load_file(str(path), optimize=False, parallel=False, **values)
