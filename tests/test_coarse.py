@@ -73,7 +73,7 @@ def image(scene, tolerance, seed=0):
 
 
 @pytest.mark.parametrize("tolerance", build.slow_ones([0.3, 0.1], [0.3]))
-@pytest.mark.parametrize("name", ["bumpy_sphere", "branches"])
+@pytest.mark.parametrize("name", build.slow_ones(["bumpy_sphere", "branches"], ["branches"]))
 def test_coarse_meshes_keep_to_the_tolerance(rgb, tmp_path, name, tolerance):
     path, _ = scenes.write_scene(name, tmp_path, 20480)
     scene = scenes.load(path, res=64)

@@ -60,7 +60,7 @@ def errors(truth, image):
     return np.abs(image - truth).sum() / truth.sum(), image.sum() / truth.sum() - 1
 
 
-@pytest.mark.parametrize(("eta", "g"), [(0.7, 0.6), (1.0, None), (1.5, -0.5)])
+@pytest.mark.parametrize(("eta", "g"), [pytest.param(0.7, 0.6, marks=pytest.mark.slow), (1.0, None), (1.5, -0.5)])
 def test_every_combination(rgb, scene_at, eta, g):
     """For all kinds of boundary within the tolerance (point: within its noise)."""
     scene = scene_at(eta=eta, g=g)
@@ -179,7 +179,7 @@ def extreme(tmp_path, mesh, light, eta=1.5, density=1.0, intensity=10.0):
     return mi.load_dict({"type": "scene", "sensor": sensor, "body": shape, "light": light})
 
 
-@pytest.mark.parametrize("distance", [1e2, 1e4, 1e6])
+@pytest.mark.parametrize("distance", build.slow_ones([1e2, 1e4, 1e6], [1e2]))
 def test_distant_lights(rgb, tmp_path, distance):
     """Nothing is lost to float32 where all of the segment is seen under a tiny angle."""
     light = distance * np.array([-0.02, -0.05, -1])

@@ -99,7 +99,7 @@ LIGHTS = {
 }  # fmt: skip
 
 
-LONG = ("disk", "sky")
+LONG = ("sphere", "disk", "sky")
 
 
 @pytest.mark.parametrize("name", build.slow_ones(LIGHTS, LONG))

@@ -217,7 +217,7 @@ CASES = {
 }
 
 
-LONG = ("boundary open water", "boundary sphere", "light pool through glass", "place light in a bubble")
+LONG = ("boundary open water", "boundary sphere", "light pool", "light pool through glass", "place light in a bubble")
 """Half a minute each, most of it for kernels: of a kind that others are of, too."""
 
 
