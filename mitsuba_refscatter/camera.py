@@ -247,7 +247,7 @@ def _split(
         start = P + tri.Ng * dr.copysign(tolerances.CAMERA_OFFSET * extent, side)
         origin = centre + start
         legs_on = Legs(mi.Point3f(origin), mi.Vector3f(d), weight, legs.sample, dr.select(goes_in, inside, outside),
-                       reflections if mirrored else legs.reflections, entries, mi.Vector3f(start - (origin - centre)))  # fmt: skip
+                       reflections if mirrored else legs.reflections, entries, mi.Vector3f(P - (origin - centre)))  # fmt: skip
         kept = dr.compress(goes_on)
         if dr.width(kept) > 0:
             out.append(legs_on.gather(kept))

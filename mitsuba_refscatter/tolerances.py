@@ -22,6 +22,10 @@ ASIDE = 2e-6
 OPAQUE = 20.0
 """Optical depth behind which nothing is seen of a medium: 2e-9 of the light is left."""
 
+AT_CAMERA = 1e-3
+"""Distance of a light from the camera, relative to that of a body, below which curves of the light that is refracted straight back are too
+small to be found: at 2e-3 all of it is found, at 2e-4 a quarter."""
+
 ENDLESS = 1e30
 """Length of a camera leg that meets nothing."""
 
@@ -42,8 +46,8 @@ BISECTIONS = 10
 """Halvings that find where along a camera segment the light begins or ends to be blocked: to 1e-3 of a panel of the
 quadrature."""
 
-PARALLEL = 1e-6
-"""sin^2 of the angle between light and camera ray below which they have no common point in float32."""
+PARALLEL = 1e-10
+"""sin^2 of the angle between light and camera ray below which where they meet is not known in float32: to 1 % there."""
 
 WIDE = 0.999
 """Sine of a cone's half-angle that is as good as a half-space."""
@@ -62,8 +66,11 @@ OVERSHOOT = 2.0
 """Largest lambda taken for a root on the ray through the chord; beyond, the linear beam is used."""
 
 MAX_SUBDIVISION = 5
-"""Most levels (each cuts a triangle in 4) by which a strongly bent beam is refined, for all segments; and again for
-the segments along which g is far from linear on it."""
+"""Most levels (each cuts a triangle in 4) by which a strongly bent beam is refined, for all segments."""
+
+MAX_PAIR_SUBDIVISION = 8
+"""Most levels by which a beam is refined for the segments along which g is far from linear on it: where a light is next to the camera
+it is so everywhere, and parts are small compared to their distance; g is then not far from its rounding in float32."""
 
 DEPTH = 1.0
 """Largest change of optical depth along the curve in one beam: up to there the one Gauss point, with the mean of the

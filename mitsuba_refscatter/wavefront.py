@@ -13,6 +13,7 @@ from . import lanes, tolerances
 from .culling.bundles import Bundles, bundles_of
 from .culling.pairs import Pairs
 from .estimators import point
+from .estimators.chord import reaches
 from .estimators.lighting import Lighting, Sums
 from .geometry import bvh
 
@@ -283,9 +284,11 @@ class Work:
         quarters = part.gather(i // 4)
         quarters.code |= (i & 3) << (2 * quarters.level)
         quarters.level += 1
-        _, zeros, bent = self.classify(quarters)
+        _, zeros, bent, taken = self._look(quarters)
         bent &= quarters.level < self.culling.most_levels
         solvable, go_on = zeros.bracketed & ~bent, zeros.possible & bent
+        if self.estimator is not point:
+            go_on &= reaches(taken.piece, self.segments.gather(quarters.segment))
         dr.eval(quarters.code, quarters.level, quarters.segment, quarters.beam, solvable, go_on)
         return quarters.gather(dr.compress(solvable)), quarters.gather(dr.compress(go_on))
 

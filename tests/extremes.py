@@ -51,9 +51,9 @@ def needles(width):
 
 
 def tetrahedron(size):
-    """A body whose top is one triangle of ``size`` in the plane y = 0.3, and as deep."""
-    top = size * np.array([[0, 0, 1], [np.sqrt(0.75), 0, -0.5], [-np.sqrt(0.75), 0, -0.5]]) + [0, 0.3, 0]
-    return Mesh(np.concatenate([top, [[0, -size, 0]]]), np.array([[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]]), None)
+    """A body whose top is one triangle of ``size`` in the plane z = 0, and as deep."""
+    top = size * np.array([[0.3, 1.2, 0], [0.3 - np.sqrt(0.75), -0.3, 0], [0.3 + np.sqrt(0.75), -0.3, 0]])
+    return Mesh(np.concatenate([top, [[0, 0, -size]]]), np.array([[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]]), None)
 
 
 def with_degenerate(mesh):

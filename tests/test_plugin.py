@@ -146,6 +146,17 @@ def test_what_is_not_resolved_is_told_once(rgb, body, monkeypatch, capfd, most, 
         assert f"{result[..., -1].mean():.1%}" in told[0]
 
 
+@pytest.mark.parametrize(
+    ("estimator", "aside", "told"), [("curve", 0.0, 1), ("interval", 0.002, 1), ("curve", 0.02, 0), ("point", 0.0, 0)]
+)
+def test_a_light_at_the_camera_is_told(rgb, body, capfd, estimator, aside, told):
+    """Once, where its light cannot be found; ``tests/test_accuracy.py`` holds what is found of one just beside to a formula."""
+    lamp = {"type": "point", "position": [0.3 + aside, 0.8, 5], "intensity": grey(1.0)}
+    image(scene(body, refscatter(estimator=estimator, samples=0 if estimator == "curve" else 1), extra={"lamp": lamp}))
+    lines = "".join(capfd.readouterr()).splitlines()
+    assert sum('"lamp" is at the camera' in line for line in lines) == told
+
+
 def test_extra_channels_are_the_same_inside_aov(rgb, body):
     """``aov`` appends the child's channels to its own, with the child's name in front."""
     ours = refscatter(aovs="single_scatter, candidates")

@@ -34,7 +34,7 @@ class Beams:
     tree: bvh.Tree
     width: float
 
-    most_levels = tolerances.MAX_SUBDIVISION
+    most_levels = tolerances.MAX_PAIR_SUBDIVISION
     """Levels to which beams are cut for single segments, besides those when they were made."""
     bundle = tolerances.BUNDLED
     """Camera segments that go through the tree together."""

@@ -18,10 +18,26 @@ def meeting(P, omega, segment):
     return t, s
 
 
+def reaches(piece, segment):
+    """False only where all light lines of beams meet the camera line elsewhere than on the segment: those of the corners do, by twice as
+    much as lines between them could meet it nearer, and none is nearly parallel to it."""
+    t, s = zip(*(meeting(P, omega, segment) for P, omega in zip(piece.P, piece.omega)))
+    edge, turn = (
+        beam.fold(dr.maximum, [dr.norm(x[i] - x[j]) for i, j in ((0, 1), (1, 2), (2, 0))])
+        for x in (piece.P, piece.omega)
+    )
+    sine = beam.fold(dr.minimum, [dr.norm(dr.cross(omega, segment.d)) for omega in piece.omega])
+    margin = 2 * (edge + beam.fold(dr.maximum, [dr.abs(x) for x in s]) * turn) / dr.maximum(sine, 1e-30)
+    before, behind = beam.fold(dr.maximum, t), beam.fold(dr.minimum, t) - segment.t_max
+    beside = (-before > margin) | (behind > margin) | (-beam.fold(dr.maximum, s) > margin)
+    return (sine <= 2 * turn) | ~beside
+
+
 @dataclass
 class Chord:
     """The line between the zeros of g on a beam's edges: the corner M of the rays that look for the curve, the edge points
-    E1 and E2 from there, twice the area of M E1 E2, g at the corner, and whether g changes its sign at all (``active``)."""
+    E1 and E2 from there, twice the area of M E1 E2, g at the corner, whether g changes its sign at all (``active``), and its
+    ``nonlinearity`` (``beam.Zeros``)."""
 
     M: object
     to_E1: object
@@ -29,6 +45,7 @@ class Chord:
     scale: object
     g_M: object
     active: object
+    nonlinearity: object
 
     def direction(self, tau):
         return self.to_E1 + tau * (self.to_E2 - self.to_E1)
@@ -41,7 +58,8 @@ def chord_of(piece, tri, lighting, segment):
     or parts of them, whatever their size, meet. The rays start from the lone corner A; only where the curve runs along an edge at A
     from the corner opposite to that.
     """
-    g = beam.classify(piece, segment).g
+    zeros = beam.classify(piece, segment)
+    g = zeros.g
     up = [value >= 0 for value in g]
     lone_1, lone_2 = (up[0] == up[2]) & (up[1] != up[0]), (up[0] == up[1]) & (up[2] != up[0])
     active = lone_1 | lone_2 | ((up[1] == up[2]) & (up[0] != up[1]))
@@ -62,7 +80,8 @@ def chord_of(piece, tri, lighting, segment):
     M = dr.select(from_B, B, dr.select(from_C, C, A))
     to_E1, to_E2 = A + r1 * (B - A) - M, A + r2 * (C - A) - M
     scale = dr.abs(to_E1.x * to_E2.y - to_E1.y * to_E2.x)
-    chord = Chord(M, to_E1, to_E2, scale, dr.select(from_B, g_B, dr.select(from_C, g_C, g_A)), active)
+    g_M = dr.select(from_B, g_B, dr.select(from_C, g_C, g_A))
+    chord = Chord(M, to_E1, to_E2, scale, g_M, active, zeros.nonlinearity)
     ends = []
     for values in _corner_limits(piece, tri, lighting, segment):
         at_A, at_B, at_C = turn(values)

@@ -155,7 +155,8 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     cut = may_cut & (dr.max(change) > tolerances.DEPTH)
     slack = dr.opaque(mi.Float, accuracy.clip) * slope / steepest
     scale = chord.scale * width
-    total, resolved, contributes, is_open = mi.Spectrum(0), mi.Bool(True), mi.Bool(False), mi.Bool(False)
+    total, contributes, is_open = mi.Spectrum(0), mi.Bool(False), mi.Bool(False)
+    resolved = chord.nonlinearity <= dr.opaque(mi.Float, accuracy.linear)
     points = accuracy.guest_points if lighting.guests else accuracy.points
     for tau, weight in zip(*tolerances.gauss(points)):
         tau = interval.start + tau * (interval.end - interval.start)

@@ -28,7 +28,7 @@ class Prepared:
     drawn, the numbers that ``seed()`` gives. ``straight``: whether light is never refracted."""
 
     def __init__(self, scene, opt, seed, kept, straight=False, changes=None):
-        self.kept = kept
+        self.kept, self.refracts = kept, not straight
         kept.next_round()
         self.scene = read(scene, opt.tolerance, kept, straight)
         self.accuracy = replace(tolerances.accuracy(opt.tolerance), **(changes or {}))
@@ -49,8 +49,15 @@ class Prepared:
 
     def start(self, medium, ray):
         """Index of the region in which camera rays start."""
-        origin = np.array(dr.gather(mi.Point3f, mi.Point3f(ray.o), mi.UInt32(0))).ravel()
-        return self.once(lambda: region_of_camera(self.scene, medium, origin), "start")
+        return self.once(lambda: self._start(medium, ray), "start")
+
+    def _start(self, medium, ray):
+        ends = mi.UInt32(0, dr.width(ray) - 1)
+        o, d = (np.array(dr.gather(mi.Vector3f, mi.Vector3f(x), ends)).T for x in (ray.o, ray.d))
+        for name in self.scene.lights_at(o, d) if self.refracts and self.estimator is not point else ():
+            mi.Log(mi.LogLevel.Warn, f"refscatter: {name} is at the camera: of what it sends straight back most is not found. Move it aside "
+                   f'by {2 * tolerances.AT_CAMERA:g} of its distance from the body, or set estimator to "point".')  # fmt: skip
+        return region_of_camera(self.scene, medium, o[0])
 
     def angle_panels(self, region):
         """``straight.angle_panels`` of a region's phase function."""

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes
+from .. import lanes, tolerances
 from ..geometry import mesh as mesh_facts
 from ..kept import fingerprint
 from . import bodies as body_reader
@@ -60,6 +60,18 @@ class Scene:
     def find(self, shape):
         """Index of the body of each shape pointer, or NONE; a null pointer is no body."""
         return dr.gather(mi.UInt32, self.body_of_shape, dr.reinterpret_array(mi.UInt32, shape))
+
+    def lights_at(self, o, d):
+        """Names of the lights that are points where camera rays (``o``, ``d``: (n, 3)) all come from, seen from some body."""
+        points = {
+            light.name: np.ravel(light.exact.L) for light in self.lights if light.exact and not light.exact.distant
+        }
+        ways = [
+            np.linalg.norm(np.maximum(0, np.maximum(low - o[0], o[0] - high)))
+            for low, high in (b.box for b in self.bodies)
+        ]
+        near = tolerances.AT_CAMERA * min(ways, default=0)
+        return [name for name, L in points.items() if (np.linalg.norm(np.cross(o - L, d), axis=1) < near).all()]
 
     def near(self, target, leaving, active):
         """Region on the near side of rays that meet the boundaries ``target``, from inside where they are ``leaving``."""
