@@ -60,7 +60,7 @@ class Case:
         """The same, moved back."""
         return (self.place(x) - self.shift * SHIFT) / self.scale
 
-    def ours(self, tmp_path):
+    def ours(self, tmp_path, tolerance=TOLERANCE, **options):
         k = self.scale
         mesh = Mesh(self.place(self.mesh.vertices), self.mesh.faces, self.mesh.normals)
         shape = build.mesh_shape(
@@ -70,7 +70,8 @@ class Case:
         light = build.point_light(self.place(self.light), np.full(3, 10.0 * k * k))
         scene = mi.load_dict({"type": "scene", "body": shape, "light": light})
         o, d = self.lines()
-        return build.single_scattering(scene, self.place(o), d, internal_bounces=self.bounces, tolerance=TOLERANCE)
+        options = {"internal_bounces": self.bounces, "tolerance": tolerance, **options}
+        return build.single_scattering(scene, self.place(o), d, **options)
 
     def truths(self):
         """The oracle's radiance along rays on all sides of those, (sides, rays, 3)."""

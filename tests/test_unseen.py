@@ -84,7 +84,7 @@ def oracle_image(scene, bounces, seed):
 
 
 def test_unseen_scene(rgb, tmp_path):
-    """The error of the image is below the tolerance; at tolerance 0 no pixel is off by 1 %."""
+    """The error of the image is below the tolerance, and no pixel is off by 5 %; at tolerance 0 none by 1 %."""
     scene = mi.load_dict(scene_dict(tmp_path))
     truth = oracle_image(scene, 1, 5)
     bright = truth.sum(axis=2) > 0.05 * truth.sum(axis=2).mean()
@@ -96,4 +96,7 @@ def test_unseen_scene(rgb, tmp_path):
         assert ours.shape == truth.shape == (9, 14, 3)
         difference = np.abs(ours - truth)
         assert difference.sum() / truth.sum() < least
-    assert (difference.sum(axis=2)[bright] / truth.sum(axis=2)[bright]).max() < 1e-2
+        worst = (difference.sum(axis=2)[bright] / truth.sum(axis=2)[bright]).max()
+        print(f"tolerance {tolerance:g}: {difference.sum() / truth.sum():.1e}, worst pixel {worst:.1e}")
+        assert worst < 0.05
+    assert worst < 1e-2
