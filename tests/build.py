@@ -55,10 +55,10 @@ def rounded_mesh(mesh):
 
 
 def rays_towards(origin, targets):
-    """Rays from ``origin`` to targets (n, 3)."""
+    """Rays from ``origin``, (3,) or (n, 3), to targets (n, 3)."""
     d = np.asarray(targets) - np.asarray(origin)
     d = rounded(d / np.linalg.norm(d, axis=1, keepdims=True))
-    return rounded(np.tile(origin, (len(d), 1))), d / np.linalg.norm(d, axis=1, keepdims=True)
+    return rounded(np.broadcast_to(origin, d.shape)), d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
 def slow_ones(names, slow):

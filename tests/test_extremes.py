@@ -87,7 +87,7 @@ class Case:
         return np.array(found)
 
 
-ETAS = [Case(f"eta {eta:g}", eta=eta) for eta in (1 + 1e-6, 1 + 1e-4, 1.01, 2.5, 1 - 1e-6, 0.9, 0.4)]
+ETAS = [Case(f"eta {eta:.7g}", eta=eta) for eta in (1 + 1e-6, 1 + 1e-4, 1.01, 2.5, 1 - 1e-6, 0.9, 0.4)]
 DENSITIES = [
     Case(f"density x size {2 * density:g}", sigma_t=(density, 0.7 * density, 0.4 * density))
     for density in (5e-7, 5e-4, 1.0, 4.0, 16.0)
@@ -120,6 +120,12 @@ RAYS = [
         rays=build.rays_towards((0.0, 1.0, 5.2), [(0.3, 0.5, 0), (-0.2, 0.1, 0)]),
     ),
     Case("grazing camera rays", BALL, rays=extremes.grazing(CAMERA, 1e-3)),
+    Case(
+        "camera rays within 0.05 of a perfect focus",
+        build.rounded_mesh(extremes.lens(3)),
+        light=(0, 0, 1e6),
+        rays=extremes.rays_at_focus(120, 0.05),
+    ),
 ]
 MESHES = [
     Case("needle triangles 1 : 10^6", build.rounded_mesh(extremes.needles(1e-6))),
