@@ -185,6 +185,9 @@ def load(scene: Path, values: dict[str, str]):
     try:
         loaded = scene_files.load(scene, **values)
     except (RuntimeError, ValueError, TypeError) as error:
+        parameters = sorted(set(re.findall(r"\$(\w+)", scene.read_text("utf-8", "replace"))))
+        for name in set(values).difference(parameters) if "unused parameters" in str(error) else ():
+            raise Failure(f'{scene} has no parameter "{name}": {advice(name, parameters)}') from error
         raise Failure(cause(error)) from error
     if not isinstance(loaded, mi.Scene):
         raise Failure(f"{scene} does not hold a scene")

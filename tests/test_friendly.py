@@ -63,6 +63,7 @@ def test_a_typing_error_is_answered_with_the_near_name(arguments, near, tmp_path
 def test_near_names_where_the_usage_is_right():
     assert_one_sentence(refscatter("scenes", "shpere"), "did you mean sphere?")
     assert_one_sentence(refscatter("render", SPHERE, "-m", "llvm_ad_rbg"), "did you mean llvm_ad_rgb?")
+    assert_one_sentence(refscatter("render", SPHERE, "-D", "rez=16"), "did you mean res?")
     assert "did you mean" not in spelling.advice("xyz", ["curve", "point"])
 
 
