@@ -88,6 +88,9 @@ SHORTEST = 1.5 / CUT**3
 NEAR = 0.2
 """Largest edge of a beam's triangle relative to its distance from the light: the light's 1/d^2 is then good to 1e-3."""
 
+PARTLY_LIT = 0.02
+"""The same relative to the body's size, of beams that are not proven to be wholly lit: shadows are seen by a sample or two on each."""
+
 TURN = 0.3
 """Largest difference between the refracted directions at the corners of a beam, in radians: the cosines and the
 transmittance are then good to a few 1e-3."""

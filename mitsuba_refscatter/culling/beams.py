@@ -114,6 +114,13 @@ def _levels(tri, light, size, bend):
     return mi.UInt32(dr.clip(level, 0, tolerances.MAX_SUBDIVISION))
 
 
+def _partly_lit(tri, size):
+    """Subdivisions after which a shadow that may end on a triangle is seen by the few samples of beams, and not as their edges."""
+    edge = dr.sqrt(dr.maximum(dr.squared_norm(tri.P_u), dr.squared_norm(tri.P_v)))
+    level = dr.ceil(dr.log2(dr.maximum(edge / (tolerances.PARTLY_LIT * size), 1)))
+    return dr.minimum(mi.UInt32(level), tolerances.MAX_SUBDIVISION)
+
+
 def order_of(body):
     """Triangles (UInt32, scene's numbering) of a body in the order in which the tree takes them."""
     return lanes.array(mi.UInt32, bvh.median_order(body.corners.mean(axis=1)) + body.first_record)
@@ -134,7 +141,10 @@ def build(body, scene_records, order, light, bend, seen, clear):
     if dr.width(lit) == 0:
         return None
     size = dr.opaque(mi.Float, body.size)
-    level = _levels(triangle.gather(scene_records, lit), light, size, dr.opaque(mi.Float, bend))
+    tri = triangle.gather(scene_records, lit)
+    level = dr.maximum(
+        _levels(tri, light, size, dr.opaque(mi.Float, bend)), dr.select(proven, 0, _partly_lit(tri, size))
+    )
 
     parent, code, level = _expand(level)
     parent, code, level, exists = _in_leaves(place, parent, code, level)

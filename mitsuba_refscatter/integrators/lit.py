@@ -241,8 +241,12 @@ class Stretch:
 
     def segments(self, centre, sigma_t):
         """As ``Segments`` in the coordinates of a body with this ``centre``."""
-        o = self.o - mi.Point3f(dr.opaque(mi.Point3f, centre)) + self.back
-        return Segments(mi.Point3f(o), self.d, self.t_max, sigma_t)
+        inside = self.inside(centre, sigma_t)
+        return replace(inside, o=mi.Point3f(inside.o + self.back))
+
+    def inside(self, centre, sigma_t):
+        """The same from off the boundary on, where rays can be traced from."""
+        return Segments(mi.Point3f(self.o - mi.Point3f(dr.opaque(mi.Point3f, centre))), self.d, self.t_max, sigma_t)
 
 
 def stretch_of(paths, region, ray):
@@ -324,7 +328,7 @@ def _straight(prepared, region, stretch, light_point, value, single):
 
     free = dr.width(light_point.L) == 1 and not region.admits and _nothing_between(scene, region)
     total = straight.scatter(
-        stretch.segments(at, sigma_t), light_point.source(mi.Float(1), centre),
+        stretch.inside(at, sigma_t), light_point.source(mi.Float(1), centre),
         light_point.emission(centre, stretch.wavelengths), region.phase, region.directed, None if free else way, prepared.accuracy,
         0 if light_point.distant else prepared.angle_panels(region),
     )  # fmt: skip
