@@ -106,7 +106,7 @@ def render(
 
     The scene's own integrator is used if it is refscatter, otherwise refscatter takes its place.
 
-    Example: refscatter render scenes/sphere/scene.xml -s 16 -D res=256
+    Example: refscatter render scenes/sphere/scene.xml -s 16 -D res=256 -o sphere.exr
     """
     values = defines(define)
     # Before Mitsuba touches LLVM: an unsuitable one can end the process.

@@ -92,7 +92,7 @@ def gallery(
 ):
     """Make the pictures of the README's gallery.
 
-    Example: refscatter gallery -o scenes/gallery
+    Example: refscatter gallery -o out
     """
     variant = measurable(variant, directory)
     require("matplotlib", "flip_evaluator")

@@ -88,7 +88,7 @@ def tell_usage(error) -> None:
     text = " ".join(error.format_message().split()).rstrip(".")
     context = error.ctx
     if context is not None and hasattr(error, "option_name") and hasattr(error, "possibilities"):
-        known = [name for option in context.command.get_params(context) for name in option.opts]
+        known = [name for option in context.command.get_params(context) for name in option.opts if name.startswith("-")]
         text = f"there is no option {error.option_name}: {near(error.option_name, known)}".rstrip(": ")
     err.print(f"refscatter: {text[:1].lower()}{text[1:]}", markup=False)
     err.print(f"Try: {context.command_path if context is not None else 'refscatter'} --help", markup=False)
@@ -98,7 +98,7 @@ def require(*modules: str) -> None:
     """``Failure`` with what to install where one of these is missing."""
     for name in modules:
         if importlib.util.find_spec(name) is None:
-            raise Failure(f"this needs {name}: pip install 'mitsuba_refscatter[compare]'")
+            raise Failure(f"this needs {name}: {sys.executable} -m pip install -e '.[compare]' in the checkout")
 
 
 def known(names: list[str], known, option: str, kind: str) -> list[str]:
@@ -187,7 +187,8 @@ def load(scene: Path, values: dict[str, str]):
     except (RuntimeError, ValueError, TypeError) as error:
         parameters = sorted(set(re.findall(r"\$(\w+)", scene.read_text("utf-8", "replace"))))
         for name in set(values).difference(parameters) if "unused parameters" in str(error) else ():
-            raise Failure(f'{scene} has no parameter "{name}": {advice(name, parameters)}') from error
+            way = advice(name, parameters) if parameters else f'write <default name="{name}" value="..."/> and ${name}'
+            raise Failure(f'{scene} has no parameter "{name}": {way}') from error
         raise Failure(cause(error)) from error
     if not isinstance(loaded, mi.Scene):
         raise Failure(f"{scene} does not hold a scene")

@@ -240,7 +240,7 @@ def probe(
 ):
     """Show what is added up along one camera ray.
 
-    Example: refscatter probe scenes/bumpy_sphere/scene.xml --pixel 40 30 -D res=64 -o out
+    Example: refscatter probe scenes/sphere/scene.xml --pixel 40 30 -D res=64 -o out
     """
     known([culling], ("beams", "spindle"), "--culling", "culling")
     variant = measurable(variant, directory)

@@ -4,7 +4,7 @@ import build
 import mitsuba as mi
 import numpy as np
 import pytest
-from meshes import Mesh, triangle_grid
+from meshes import Mesh, icosphere, triangle_grid
 
 from mitsuba_refscatter import scenes, tolerances
 from mitsuba_refscatter.geometry import decimation
@@ -99,3 +99,19 @@ def test_facets_and_small_meshes_stay(rgb, tmp_path):
 def test_nothing_is_estimated_where_exact(rgb):
     exact = tolerances.accuracy(0.0)
     assert exact.coarse == 0 and not exact.samples_visibility
+
+
+def test_triangles_that_share_no_vertex(rgb, tmp_path):
+    """As programs for printing write them: the same body, and nothing to decimate it by."""
+    ball = build.rounded_mesh(icosphere(4))
+    corners = np.arange(3 * len(ball.faces)).reshape(-1, 3)
+    alone = Mesh(ball.vertices[ball.faces].reshape(-1, 3), corners, ball.normals[ball.faces].reshape(-1, 3))
+    o, d = build.rays_at((0.0, 1.1, 5.2), 0.9, 500, seed=3)
+    found = []
+    for tolerance in (0.1, 0.001):
+        for mesh in (ball, alone):
+            shape = build.mesh_shape(mesh, tmp_path / "m.ply")
+            scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light((-2.6, 2.4, -0.9))})
+            found.append(build.single_scattering(scene, o, d, tolerance=tolerance, internal_bounces=0))
+    assert np.abs(found[1] - found[0]).sum() < 0.1 * found[0].sum()
+    assert np.abs(found[3] - found[2]).sum() < 1e-5 * found[2].sum()

@@ -3,7 +3,7 @@
 import build
 import numpy as np
 import pytest
-from faults import BALL, Maker, amber, grey, render, sensor, with_faces
+from faults import BALL, Maker, amber, at, grey, render, sensor, with_faces
 from meshes import Mesh, box
 
 CUBE = Mesh(box([-0.5] * 3, [0.5] * 3).vertices, box([-0.5] * 3, [0.5] * 3).faces, None)
@@ -81,3 +81,18 @@ def test_one_triangle(make):
     alone = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]), None)
     found = render(make.scene(ball=make.ball(alone)))
     assert np.isfinite(found).all() and (found >= 0).all()
+
+
+@pytest.mark.parametrize("boundary", [{"type": "null"}, {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}])
+def test_a_shadow_on_large_triangles(make, boundary):
+    """At the default tolerance it has the form that it has at tolerance 0: of a cube on one of two triangles a side."""
+    block = {"type": "cube", "bsdf": {"type": "diffuse"}, "to_world": at(0.55, 0.85, 0.5).scale(0.15)}
+    light, view = build.point_light((1.2, 1.7, 0.9)), sensor((0.6, 0.6, 2.7), fov=28.0)
+    view["film"] = {"type": "hdrfilm", "width": 48, "height": 48, "rfilter": {"type": "box"}}
+    body, images = make.ball(CUBE, bsdf=boundary), []
+    for tolerance in (0.01, 0.0):
+        settings = {"type": "refscatter", "surfaces": False, "internal_bounces": 0, "tolerance": tolerance}
+        scene = make.scene(sensor=view, lamp=light, ball=body, block=block, integrator=settings)
+        images.append(np.array(scene.integrator().render(scene, seed=1, spp=4), dtype=np.float64))
+    assert np.abs(images[0] - images[1]).sum() < 0.01 * images[1].sum()
+    assert (images[1].sum(axis=2) > 0).mean() > 0.1

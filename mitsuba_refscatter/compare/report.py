@@ -57,7 +57,7 @@ EXPLANATION = (
     "<p class='note'>Each method had the same wall time after a warm-up, single scattering alone. relMSE: mean of ((a - b) / max(b, "
     "0.01 mean b))&sup2;; L1: sum |a - b| / sum b; p99: 99th percentile of |a - b| / max(b, 0.01 mean b); bias: sum a / sum b - 1; "
     "FLIP: HDR-FLIP. Time to the quality of the first: &dagger; extrapolated by the power of time with which the error fell (of "
-    "<code>volpath</code>: inversely with time, since its samples are independent); &mdash; where it hardly falls. Bidirectional path tracing has no strategy for these paths (each edge ends in a "
+    "<code>volpath</code>: inversely with time, since its samples are independent); &mdash; where it hardly falls, or samples were too few to tell. Bidirectional path tracing has no strategy for these paths (each edge ends in a "
     "specular vertex, so that no connection exists): <code>volpath</code> stands in its place, with small spheres for points.</p>"
 )
 

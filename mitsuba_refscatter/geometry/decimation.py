@@ -102,6 +102,8 @@ def _round(vertices, normals, faces, fixed, longest, turn, least_shape, random):
     used = np.zeros(count, dtype=bool)
     used[tail] = True
     free = np.flatnonzero(used & ~fixed)
+    if len(free) == 0:
+        return faces, 0
     rank[free] = random.permutation(len(free))
     least = rank.copy()
     np.minimum.at(least, tail, rank[head])

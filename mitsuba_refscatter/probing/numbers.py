@@ -41,7 +41,7 @@ def summary(probe):
     segment, folds = probe.segments[probe.segment], int(np.isfinite(probe.curve.fold).sum())
     return (
         f"segment {probe.segment} of {len(probe.segments)} in {segment.region}: length {segment.length:.5g}, weight {segment.weight.mean():.3g}\n"
-        f"{len(probe.triangles.triangle)} triangles, {folds} folds, {len(probe.peaks)} peaks\n"
+        f"{len(probe.triangles.triangle)} triangles, folds: {folds}, peaks: {len(probe.peaks)}\n"
         f"radiance {_row(probe.integral)}; estimator curve {_row(probe.estimated)}, "
         f"point with {len(probe.samples.distance)} samples {_row(probe.samples.estimate)}"
         + "".join(f"\nleft out, as it is not one point or direction: {name}" for name in probe.left_out)
