@@ -1,5 +1,6 @@
 # make render   set everything up and render the first picture
 # make test     the tests (make test-all: also the slow ones)
+# make coverage  which lines make test runs
 # make references  what tests compare with and takes long to compute, where it is missing or a scene has changed
 # make lint     style and types; make format rewrites the files
 
@@ -9,7 +10,7 @@ BIN := $(VENV)/bin
 SCENE := scenes/bumpy_sphere/scene.xml
 PICTURE := renders/bumpy_sphere.exr
 
-.PHONY: render test test-all references lint format llvm clean
+.PHONY: render test test-all coverage references lint format llvm clean
 
 render: $(VENV)/.package llvm
 	$(BIN)/refscatter render $(SCENE) -o $(PICTURE)
@@ -20,6 +21,10 @@ test: $(VENV)/.test llvm
 test-all: $(VENV)/.test llvm
 	$(BIN)/python -m pytest -n 2 -m "" --references-anew
 	$(BIN)/python -m pytest --nbmake notebooks
+
+# Without the test of a full disk, on which coverage itself can't be written.
+coverage: $(VENV)/.test llvm
+	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered --deselect tests/test_cli.py::test_a_full_disk_keeps_the_earlier_picture
 
 references: $(VENV)/.test llvm
 	$(BIN)/python -m pytest -n 2 --make-references
