@@ -209,7 +209,7 @@ def test_the_command_writes_picture_view_and_numbers(tmp_path, scene_file):
     )
     assert done.returncode == 0, done.stderr
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["probe.html", "probe.json", "probe.png"]
-    assert "2 folds" in done.stdout and str(tmp_path / "out" / "probe.html") in done.stdout
+    assert "folds: 2" in done.stdout and str(tmp_path / "out" / "probe.html") in done.stdout
     data = json.loads((tmp_path / "out" / "probe.json").read_text())
     assert data["schema"] == numbers.SCHEMA and data["pixel"] == list(PIXEL) and len(data["folds"]) == 2
     length = data["segments"][data["segment"]]["length"]
