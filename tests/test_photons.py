@@ -99,7 +99,7 @@ LIGHTS = {
 }  # fmt: skip
 
 
-LONG = ("sphere", "disk", "sky")
+LONG = ("sphere", "disk", "sky", "two")
 
 
 @pytest.mark.parametrize("name", build.slow_ones(LIGHTS, LONG))

@@ -42,6 +42,7 @@ def test_every_choice_is_switched():
     assert all(dataclasses.replace(default, **changes) != default for _, changes in switched)
 
 
+@pytest.mark.slow
 def test_with_all_choices_switched_off_the_image_is_the_exact_one(rgb, tmp_path):
     """As at tolerance 0; the tests against closed forms and the oracle hold that to the truth."""
     path, _ = scenes.write_scene("branches", tmp_path, 5120)
