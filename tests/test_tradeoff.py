@@ -5,6 +5,7 @@ import json
 
 import mitsuba as mi
 import numpy as np
+import pytest
 from test_cli import SPHERE, needs_variant, refscatter
 
 from mitsuba_refscatter import scenes, tolerances
