@@ -175,6 +175,18 @@ def defines(pairs: list[str]) -> dict[str, str]:
     return values
 
 
+def _unused_parameter(scene: Path, values: dict[str, str], error: BaseException) -> Optional[str]:
+    """What to say where the error is that a scene has no parameter of a name in ``values``; None where it is another one."""
+    if "unused parameters" not in str(error):
+        return None
+    known = sorted(set(re.findall(r"\$(\w+)", scene.read_text("utf-8", "replace"))))
+    name = next((name for name in values if name not in known), None)
+    if name is None:
+        return None
+    way = advice(name, known) if known else f'write <default name="{name}" value="..."/> and ${name}'
+    return f'{scene} has no parameter "{name}": {way}'
+
+
 def load(scene: Path, values: dict[str, str]):
     """Load a scene file; ``Failure`` says why it can't be."""
     import mitsuba as mi
@@ -185,11 +197,7 @@ def load(scene: Path, values: dict[str, str]):
     try:
         loaded = scene_files.load(scene, **values)
     except (RuntimeError, ValueError, TypeError) as error:
-        parameters = sorted(set(re.findall(r"\$(\w+)", scene.read_text("utf-8", "replace"))))
-        for name in set(values).difference(parameters) if "unused parameters" in str(error) else ():
-            way = advice(name, parameters) if parameters else f'write <default name="{name}" value="..."/> and ${name}'
-            raise Failure(f'{scene} has no parameter "{name}": {way}') from error
-        raise Failure(cause(error)) from error
+        raise Failure(_unused_parameter(scene, values, error) or cause(error)) from error
     if not isinstance(loaded, mi.Scene):
         raise Failure(f"{scene} does not hold a scene")
     if not loaded.sensors():

@@ -72,6 +72,9 @@ MAX_PAIR_SUBDIVISION = 8
 """Most levels by which a beam is refined for the segments along which g is far from linear on it: where a light is next to the camera
 it is so everywhere, and parts are small compared to their distance; g is then not far from its rounding in float32."""
 
+MOST_LEVELS = 2 * MAX_SUBDIVISION
+"""Most levels by which a triangle that no beams were made of is cut for single segments: of all the most."""
+
 DEPTH = 1.0
 """Largest change of optical depth along the curve in one beam: up to there the one Gauss point, with the mean of the
 exponential taken exactly, or two of them are good to 1e-3. Where it is larger the beam is subdivided."""
@@ -89,7 +92,8 @@ NEAR = 0.2
 """Largest edge of a beam's triangle relative to its distance from the light: the light's 1/d^2 is then good to 1e-3."""
 
 PARTLY_LIT = 0.02
-"""The same relative to the body's size, of beams that are not proven to be wholly lit: shadows are seen by a sample or two on each."""
+"""The same relative to the body's size, of beams that are not proven to be wholly lit: a shadow is seen by a sample or two on each, and
+would have the form of their edges."""
 
 TURN = 0.3
 """Largest difference between the refracted directions at the corners of a beam, in radians: the cosines and the

@@ -217,7 +217,7 @@ class Work:
         pairs = bundles.pairs(lane, leaf, place * dr.opaque(mi.UInt32, bundles.most))
         count, taken, masks = lanes.gather(bundles.count, bundle), None, []
         for j in range(bundles.most):
-            active, zeros, bent, taken = self._look(pairs, taken, j < count)
+            active, zeros, bent, taken = self.classify(pairs, taken, j < count)
             self.sums.look_at(pairs, zeros.possible if self.culling.for_one_light else active)
             masks.append((zeros.bracketed & ~bent, zeros.possible & bent))
             pairs = Pairs(pairs.segment + 1, pairs.beam)
@@ -231,12 +231,9 @@ class Work:
         at = index // most
         return lanes.gather(place, at) * most + (index - at * most)
 
-    def classify(self, pairs):
-        """Which pairs exist, where they may contribute, and which of them are too complicated."""
-        return self._look(pairs)[:3]
-
-    def _look(self, pairs, taken=None, active=True):
-        """``classify`` for the ``active`` ones; and what the culling knows of the pairs, ``taken`` if that is known already."""
+    def classify(self, pairs, taken=None, active=True):
+        """Which of the ``active`` pairs exist, where they may contribute, and which of them are too complicated; and what the culling
+        knows of them, ``taken`` if that is known already."""
         segment, light = self.segments.gather(pairs.segment, active), self.lighting.at(pairs.segment).light
         exists = self.culling.plausible(pairs, segment, light) & active
         taken = taken or self.culling.take(pairs, light, exists)
@@ -284,11 +281,10 @@ class Work:
         quarters = part.gather(i // 4)
         quarters.code |= (i & 3) << (2 * quarters.level)
         quarters.level += 1
-        _, zeros, bent, taken = self._look(quarters)
+        _, zeros, bent, taken = self.classify(quarters)
         bent &= quarters.level < self.culling.most_levels
         solvable, go_on = zeros.bracketed & ~bent, zeros.possible & bent
-        if self.estimator is not point:
-            go_on &= reaches(taken.piece, self.segments.gather(quarters.segment))
+        go_on &= reaches(taken.piece, self.segments.gather(quarters.segment))
         dr.eval(quarters.code, quarters.level, quarters.segment, quarters.beam, solvable, go_on)
         return quarters.gather(dr.compress(solvable)), quarters.gather(dr.compress(go_on))
 

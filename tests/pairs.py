@@ -240,7 +240,7 @@ class Culling:
         pairs, bundle = work.bundles.pairs(lane, leaf, index), dr.gather(mi.UInt32, lane, index // per_pair)
         first, count = (dr.gather(mi.UInt32, x, bundle) for x in (work.bundles.first, work.bundles.count))
         pairs = pairs.gather(dr.compress(pairs.segment < first + count))
-        exists, zeros, _ = work.classify(pairs)
+        exists, zeros, _, _ = work.classify(pairs)
         looked_at = int(dr.count(zeros.possible if self.culling.for_one_light else exists)[0])
         pairs = pairs.gather(dr.compress(zeros.possible))
         triangle = self.culling.triangle_of(pairs) - self.body.first_record

@@ -119,7 +119,7 @@ def solve(case, eta, tolerance=0.01):
                           tolerances.accuracy(tolerance), roots)  # fmt: skip
     index = dr.arange(mi.UInt32, n)
     pairs = Pairs(index, index)
-    _, zeros, bent = work.classify(pairs)
+    _, zeros, bent, _ = work.classify(pairs)
     work.solve(pairs.gather(dr.compress(zeros.bracketed & ~bent)))
     work.refine(pairs.gather(dr.compress(zeros.possible & bent)))
     return roots

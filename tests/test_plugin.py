@@ -147,12 +147,16 @@ def test_what_is_not_resolved_is_told_once(rgb, body, monkeypatch, capfd, most, 
 
 
 @pytest.mark.parametrize(
-    ("estimator", "aside", "told"), [("curve", 0.0, 1), ("interval", 0.002, 1), ("curve", 0.02, 0), ("point", 0.0, 0)]
-)
-def test_a_light_at_the_camera_is_told(rgb, body, capfd, estimator, aside, told):
+    ("integrator", "aside", "told"), [
+        (refscatter(), 0.0, 1), (refscatter(estimator="interval", samples=1), 0.002, 1), (refscatter(), 0.02, 0),
+        (refscatter(estimator="point", samples=1), 0.0, 0), ({"type": "refscatter_photons", "photons": 1000}, 0.0, 0),
+        ({"type": "refscatter_straight"}, 0.0, 0),
+    ], ids=["curve", "interval", "beside", "point", "photons", "straight"],
+)  # fmt: skip
+def test_a_light_at_the_camera_is_told(rgb, body, capfd, integrator, aside, told):
     """Once, where its light cannot be found; ``tests/test_accuracy.py`` holds what is found of one just beside to a formula."""
     lamp = {"type": "point", "position": [0.3 + aside, 0.8, 5], "intensity": grey(1.0)}
-    image(scene(body, refscatter(estimator=estimator, samples=0 if estimator == "curve" else 1), extra={"lamp": lamp}))
+    image(scene(body, integrator, extra={"lamp": lamp}))
     lines = "".join(capfd.readouterr()).splitlines()
     assert sum('"lamp" is at the camera' in line for line in lines) == told
 

@@ -29,7 +29,7 @@ def sub_triangle(code, level):
     parent, 3 is the middle one, turned by half a turn (h < 0).
     """
     u, v, h = mi.Float(0), mi.Float(0), mi.Float(1)
-    for k in range(2 * tolerances.MAX_SUBDIVISION):
+    for k in range(tolerances.MOST_LEVELS):
         digit = (code >> (2 * k)) & 3
         active = level > k
         half = 0.5 * h

@@ -95,30 +95,27 @@ def _lit(tri, light):
     return (top > 0) & (dr.dot(tri.Ng, a[0]) > 0)
 
 
-def _levels(tri, light, size, bend):
+def _levels(tri, light, size, bend, proven_lit):
     """Subdivisions after which a beam is simple enough.
 
     Its bend is below ``bend`` times its width (both at the distance ``size``; per level the bend falls by 4, the
-    width by 2), and its edges and directions are within ``tolerances.NEAR`` and ``TURN``.
+    width by 2), its edges and directions are within ``tolerances.NEAR`` and ``TURN``, and where a shadow may end on it
+    within ``PARTLY_LIT``.
     """
     piece = light_beam.piece_at(tri, light, mi.Float(0), mi.Float(0), mi.Float(1))
     P, omega = piece.P, piece.omega
-    width, deviation = mi.Float(0), mi.Float(0)
+    width, deviation, longest = mi.Float(0), mi.Float(0), mi.Float(0)
     for i, (u, v) in enumerate(light_beam.MIDDLES):
         j, k = (i + 1) % 3, (i + 2) % 3
+        edge = dr.norm(P[j] - P[k])
+        longest = dr.maximum(longest, edge)
         _, middle, _ = light_beam.refracted(tri, u, v, light)
         deviation = dr.maximum(deviation, size * dr.norm(middle - 0.5 * (omega[j] + omega[k])))
-        width = dr.maximum(width, dr.norm(P[j] - P[k]) + size * dr.norm(omega[j] - omega[k]))
+        width = dr.maximum(width, edge + size * dr.norm(omega[j] - omega[k]))
     excess = dr.maximum(light_beam.excess(piece, light), deviation / dr.maximum(bend * width, 1e-30))
+    excess = dr.maximum(excess, dr.select(proven_lit, 0, longest / (tolerances.PARTLY_LIT * size)))
     level = dr.ceil(dr.log2(dr.clip(excess, 1e-6, 1e6)))
     return mi.UInt32(dr.clip(level, 0, tolerances.MAX_SUBDIVISION))
-
-
-def _partly_lit(tri, size):
-    """Subdivisions after which a shadow that may end on a triangle is seen by the few samples of beams, and not as their edges."""
-    edge = dr.sqrt(dr.maximum(dr.squared_norm(tri.P_u), dr.squared_norm(tri.P_v)))
-    level = dr.ceil(dr.log2(dr.maximum(edge / (tolerances.PARTLY_LIT * size), 1)))
-    return dr.minimum(mi.UInt32(level), tolerances.MAX_SUBDIVISION)
 
 
 def order_of(body):
@@ -141,10 +138,7 @@ def build(body, scene_records, order, light, bend, seen, clear):
     if dr.width(lit) == 0:
         return None
     size = dr.opaque(mi.Float, body.size)
-    tri = triangle.gather(scene_records, lit)
-    level = dr.maximum(
-        _levels(tri, light, size, dr.opaque(mi.Float, bend)), dr.select(proven, 0, _partly_lit(tri, size))
-    )
+    level = _levels(triangle.gather(scene_records, lit), light, size, dr.opaque(mi.Float, bend), proven)
 
     parent, code, level = _expand(level)
     parent, code, level, exists = _in_leaves(place, parent, code, level)

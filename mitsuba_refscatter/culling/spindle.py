@@ -29,7 +29,7 @@ class Spindle:
 
     for_one_light = False
     bundle, width = 1, 0.0
-    most_levels = 2 * tolerances.MAX_SUBDIVISION
+    most_levels = tolerances.MOST_LEVELS
 
     def __init__(self, body, records):
         self.surface = Surface(

@@ -20,7 +20,8 @@ def meeting(P, omega, segment):
 
 def reaches(piece, segment):
     """False only where all light lines of beams meet the camera line elsewhere than on the segment: those of the corners do, by twice as
-    much as lines between them could meet it nearer, and none is nearly parallel to it."""
+    much as lines between them could meet it nearer, and none is nearly parallel to it. (Light lines through a point V meet any
+    segment of no length there.)"""
     t, s = zip(*(meeting(P, omega, segment) for P, omega in zip(piece.P, piece.omega)))
     edge, turn = (
         beam.fold(dr.maximum, [dr.norm(x[i] - x[j]) for i, j in ((0, 1), (1, 2), (2, 0))])

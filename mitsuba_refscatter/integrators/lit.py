@@ -28,7 +28,7 @@ class Prepared:
     drawn, the numbers that ``seed()`` gives. ``straight``: whether light is never refracted."""
 
     def __init__(self, scene, opt, seed, kept, straight=False, changes=None):
-        self.kept, self.refracts = kept, not straight
+        self.kept = kept
         kept.next_round()
         self.scene = read(scene, opt.tolerance, kept, straight)
         self.accuracy = replace(tolerances.accuracy(opt.tolerance), **(changes or {}))
@@ -49,15 +49,17 @@ class Prepared:
 
     def start(self, medium, ray):
         """Index of the region in which camera rays start."""
-        return self.once(lambda: self._start(medium, ray), "start")
+        return self.once(lambda: region_of_camera(self.scene, medium, _ends_of(ray)[0][0]), "start")
 
-    def _start(self, medium, ray):
-        ends = mi.UInt32(0, dr.width(ray) - 1)
-        o, d = (np.array(dr.gather(mi.Vector3f, mi.Vector3f(x), ends)).T for x in (ray.o, ray.d))
-        for name in self.scene.lights_at(o, d) if self.refracts and self.estimator is not point else ():
+    def warn_of_lights_at(self, ray):
+        """Says once which lights are where camera rays come from, unless the estimator finds what these send straight back."""
+        if self.estimator is not point:
+            self.once(lambda: self._warn_of(self.scene.lights_at(*_ends_of(ray))), "lights at the camera")
+
+    def _warn_of(self, names):
+        for name in names:
             mi.Log(mi.LogLevel.Warn, f"refscatter: {name} is at the camera: of what it sends straight back most is not found. Move it aside "
                    f'by {2 * tolerances.AT_CAMERA:g} of its distance from the body, or set estimator to "point".')  # fmt: skip
-        return region_of_camera(self.scene, medium, o[0])
 
     def angle_panels(self, region):
         """``straight.angle_panels`` of a region's phase function."""
@@ -249,6 +251,12 @@ class Stretch:
         return Segments(mi.Point3f(self.o - mi.Point3f(dr.opaque(mi.Point3f, centre))), self.d, self.t_max, sigma_t)
 
 
+def _ends_of(ray):
+    """Origins and directions of the first and the last ray, (2, 3)."""
+    ends = mi.UInt32(0, dr.width(ray) - 1)
+    return [np.array(dr.gather(mi.Vector3f, mi.Vector3f(x), ends)).T for x in (ray.o, ray.d)]
+
+
 def stretch_of(paths, region, ray):
     """``Stretch`` of all segments in a region."""
     o, back, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[region.index]))
@@ -264,6 +272,8 @@ def scatter(prepared, paths, ray, n, batch, seed, detail, progress, refracted=Tr
         [(region, turn) for turn in turns(prepared, n, ray.wavelengths, batch) for region in regions] if regions else []
     )
     stretches = {region.index: stretch_of(paths, region, ray) for region in regions}
+    if refracted and any(region.boundaries for region in regions):
+        prepared.warn_of_lights_at(ray)
     for i, (region, turn) in enumerate(work):
         taken = stretches[region.index].taking(turn)
         if taken is None:

@@ -122,6 +122,7 @@ def probe(
         film_sensor = scene.sensors()[sensor]
         ray = _camera_ray(film_sensor, x, y)
         start = prepared.start(film_sensor.get_medium(), ray)
+        prepared.warn_of_lights_at(ray)
         paths = camera.trace(prepared.scene, ray, True, start, internal_bounces, False, prepared.accuracy.weight)
         found = _segments(prepared.scene, paths)
         if not found:
