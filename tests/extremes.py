@@ -2,7 +2,7 @@
 
 import build
 import numpy as np
-from meshes import Mesh, bumpy_sphere, icosphere
+from meshes import Mesh, bumpy_sphere, dot, icosphere, unit
 
 
 def bumps(level):
@@ -92,14 +92,13 @@ def cylinder(sides):
     return Mesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(normals))
 
 
+AXES, FOCUS = np.array([np.sqrt(5) / 3, np.sqrt(5) / 3, 1]), np.array([0, 0, -2 / 3])
+"""Of an ellipsoid about z with eccentricity 2/3: with eta 1.5 it brings light along z to one point."""
+
+
 def lens(level):
-    """An ellipsoid about z with eccentricity 2/3: with eta 1.5 it brings light along z to one point, ``FOCUS``."""
-    ball, axes = icosphere(level), np.array([np.sqrt(5) / 3, np.sqrt(5) / 3, 1])
-    normals = ball.vertices / axes
-    return Mesh(ball.vertices * axes, ball.faces, normals / np.linalg.norm(normals, axis=1, keepdims=True))
-
-
-FOCUS = np.array([0, 0, -2 / 3])
+    ball = icosphere(level)
+    return Mesh(ball.vertices * AXES, ball.faces, unit(ball.vertices / AXES))
 
 
 def rays_at_focus(n, radius):
@@ -107,15 +106,11 @@ def rays_at_focus(n, radius):
     rng = np.random.default_rng(6)
     side = rng.normal(size=(n, 3))
     side[:, 2] = -np.abs(side[:, 2]) * 0.3
-    axes = np.array([np.sqrt(5) / 3, np.sqrt(5) / 3, 1])
-    P = axes * side / np.linalg.norm(side, axis=1, keepdims=True)
-    target = FOCUS + radius * rng.uniform(-1, 1, (n, 3))
-    out = P - target
-    out /= np.linalg.norm(out, axis=1, keepdims=True)
-    normal = P / axes**2
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    across = 1.5 * (out - (out * normal).sum(1, keepdims=True) * normal)
-    sine2 = (across**2).sum(1, keepdims=True)
+    P = AXES * unit(side)
+    out = unit(P - FOCUS - radius * rng.uniform(-1, 1, (n, 3)))
+    normal = unit(P / AXES**2)
+    across = 1.5 * (out - dot(out, normal) * normal)
+    sine2 = dot(across, across)
     keep = sine2[:, 0] < 0.9
     outside = across + np.sqrt(np.maximum(1 - sine2, 0)) * normal
     return build.rays_towards((P + 4 * outside)[keep], P[keep])

@@ -202,9 +202,10 @@ def test_a_full_disk_keeps_the_earlier_picture(tmp_path):
 
 
 @needs_variant
-def test_scaling_measures_and_writes_results(tmp_path):
+@pytest.mark.parametrize("more", [(), pytest.param(("photon_beams", "refscatter_exact_mesh"), marks=pytest.mark.slow)])
+def test_scaling_measures_and_writes_results(tmp_path, more):
     """Two tiny sizes through the command, some of the methods: the table and the rows of results.json."""
-    chosen = ("refscatter", "holzschuch2015")
+    chosen = ("refscatter", "holzschuch2015", *more)
     sizes = ("--triangles", 80, "--triangles", 320, "--resolution", 16, "--samples", 2)
     done = refscatter("scaling", *sizes, *(x for name in chosen for x in ("--method", name)), "-o", tmp_path)
     assert done.returncode == 0, done.stderr

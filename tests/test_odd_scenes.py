@@ -6,7 +6,7 @@ import pytest
 from faults import BALL, Maker, amber, at, grey, render, sensor, with_faces
 from meshes import Mesh, box
 
-CUBE = Mesh(box([-0.5] * 3, [0.5] * 3).vertices, box([-0.5] * 3, [0.5] * 3).faces, None)
+CUBE = box([-0.5] * 3, [0.5] * 3)
 
 
 @pytest.fixture

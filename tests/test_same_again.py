@@ -56,10 +56,15 @@ def test_with_any_number_of_threads(rgb, tmp_path, options):
 
 
 @pytest.mark.parametrize("options", EVERY)
-def test_in_any_chunks(rgb, tmp_path, monkeypatch, options):
-    scene = load(tmp_path, "bumpy_sphere", 1280, 16)
+@pytest.mark.parametrize(
+    "body, pairs",
+    [(("bumpy_sphere", 1280, 16), 1 << 11), pytest.param(("branches", 5120, 24), 1 << 14, marks=pytest.mark.slow)],
+    ids=["bumpy_sphere", "branches"],
+)
+def test_in_any_chunks(rgb, tmp_path, monkeypatch, body, pairs, options):
+    scene = load(tmp_path, *body)
     whole = image(refscatter(**options), scene)
-    for changes in ({"CHUNK_PAIRS": 1 << 11}, {"CHUNK_BUNDLES": 7, "FIRST_CHUNK": 2}, {"PIECES": 1 << 9}):
+    for changes in ({"CHUNK_PAIRS": pairs}, {"CHUNK_BUNDLES": 7, "FIRST_CHUNK": 2}, {"PIECES": 1 << 9}):
         with monkeypatch.context() as context:
             for name, value in changes.items():
                 context.setattr(tolerances, name, value)

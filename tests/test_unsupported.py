@@ -48,13 +48,9 @@ def checkerboard():
     return {"type": "checkerboard"}
 
 
-def bumps():
+def bitmap(channels):
     """A texture with derivatives: Dr.Jit calls BSDFs of all scenes in memory, and one without them ends the tests that come after."""
-    return {"type": "bitmap", "bitmap": mi.Bitmap(np.linspace(0, 1, 16, dtype=np.float32).reshape(4, 4)), "raw": True}
-
-
-def tilted():
-    return {"type": "bitmap", "raw": True, "data": mi.TensorXf(np.full((2, 2, 3), 0.5))}
+    return {"type": "bitmap", "raw": True, "data": mi.TensorXf(np.full((2, 2, channels), 0.5))}
 
 
 def grid():
@@ -78,8 +74,8 @@ BOUNDARIES = {
     "diffuse": (lambda: {"type": "diffuse"}, ["Diffuse", "dielectric"]),
     "conductor": (lambda: {"type": "conductor"}, ["Conductor", "dielectric"]),
     "mask": (lambda: around("mask", opacity=0.5), ["mask", "dielectric"]),
-    "bumpmap": (lambda: around("bumpmap", bumps=bumps()), ["bumpmap", "dielectric"]),
-    "normalmap": (lambda: around("normalmap", normalmap=tilted()), ["normalmap", "dielectric"]),
+    "bumpmap": (lambda: around("bumpmap", bumps=bitmap(1)), ["bumpmap", "dielectric"]),
+    "normalmap": (lambda: around("normalmap", normalmap=bitmap(3)), ["normalmap", "dielectric"]),
     "blend": (lambda: blend("blendbsdf", "dielectric", "diffuse"), ["blendbsdf", "dielectric"]),
     "texture": (lambda: glass(specular_transmittance=checkerboard()), ["specular_transmittance", "constant"]),
     "index 0": (lambda: glass(int_ior=0.0), ["index of refraction", "positive"]),
