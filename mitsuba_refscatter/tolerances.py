@@ -178,6 +178,39 @@ SAMPLED = 3.0
 SAMPLED_LEAST = 1e-3
 """The same at least, relative to the length."""
 
+MISSING = 0.05
+"""Share of the light in a medium from which on its lack is told: a few percent."""
+
+MISSING_BEHIND = 0.005
+"""The same for light that is refracted more than once: it is all that there is in a shadow."""
+
+MISSING_ON_SURFACES = 0.01
+"""Share of the light on surfaces that are seen from which on it is told that media are ignored."""
+
+MISSING_PHOTONS = 4096
+"""Photons, and points on surfaces, by which it is estimated what is missing: shares of a percent are some ten of them."""
+
+MISSING_LIGHTS = 16
+"""Most lights that send them."""
+
+MISSING_LEGS = 24
+"""Most legs of their ways."""
+
+MISSING_SCATTERED = 0.2
+"""Least share of photons that scatter, and that don't, where a medium is thin, or dense."""
+
+MISSING_OFFSET = 1e-5
+"""Relative to the largest coordinate: how far off a surface they go on."""
+
+MISSING_CONE = 1e-6
+"""Least 1 - cos of a cone in which photons are sent: the rounding of float32 a few times over."""
+
+MISSING_TEXELS = 8
+"""Points along u, and along v, at which a surface is asked what it reflects."""
+
+MISSING_ALBEDO = 0.5
+"""What a surface is taken to reflect of which that is not known."""
+
 BUNDLED = 4
 """Camera segments that go through the tree of light beams together."""
 

@@ -25,10 +25,10 @@ ESTIMATORS = {"curve": curve, "interval": interval, "point": point}
 
 class Prepared:
     """What one render needs to know of a scene, read once: records, accuracy, estimator, culling; and, where lights must be
-    drawn, the numbers that ``seed()`` gives. ``straight``: whether light is never refracted."""
+    drawn, the numbers that ``seed()`` gives. ``straight``: whether light is never refracted; ``whole``: whether it is for a whole image."""
 
     def __init__(self, scene, opt, seed, kept, straight=False, changes=None):
-        self.kept = kept
+        self.kept, self.whole = kept, False
         kept.next_round()
         self.scene = read(scene, opt.tolerance, kept, straight)
         self.accuracy = replace(tolerances.accuracy(opt.tolerance), **(changes or {}))

@@ -3,7 +3,7 @@
 import drjit as dr
 import mitsuba as mi
 
-from .. import camera, film, lanes, options, platform, wavefront
+from .. import camera, film, lanes, missing, options, platform, tolerances, wavefront
 from ..kept import Kept
 from ..scene import REFUSED, SceneError, refuse_gradients
 from ..sequence import Batch, Sequence
@@ -80,6 +80,9 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
     known = options.Options
     """What its properties are read as."""
 
+    missing_in_media = staticmethod(missing.in_media)
+    """What is said of light that is not computed in the media of a scene."""
+
     def __init__(self, props):
         super().__init__(props)
         platform.require_usable(mi.variant())
@@ -88,6 +91,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         self.progress = self.watch = None  # for ``film.render``
         self.counts, self.kept = wavefront.Counts(), Kept()
         self.changes = {}  # fields of ``tolerances.Accuracy``, for measurements
+        self.told = set()  # sentences that warned since the last render began
 
     def aov_names(self):
         """Names of the extra channels, in order."""
@@ -117,7 +121,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         refuse_gradients(scene)
         with dr.suspend_grad():
             prepared = self.prepare(scene, lambda: int(mi.UInt32(seed)[0]))
-            self.counts = prepared.counts
+            self.counts, self.told, prepared.whole = prepared.counts, set(), True
             medium, sequence = sensor.get_medium(), prepared.sequence
             if self.watch is not None:  # then the number of samples is not known, and samplers stratify for a known one
                 sequence = sequence or Sequence(int(mi.UInt32(seed)[0]))
@@ -135,6 +139,19 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         seed = seed_from(sampler) if self.options.estimator == "point" else 0
         return scatter(prepared, paths, ray, n, batch, seed, detail, progress)
 
+    def _tell(self, prepared, paths):
+        """Warns of what is missing, once per render and sentence."""
+
+        def tell(sentences):
+            for sentence in sentences:
+                if sentence not in self.told:
+                    mi.Log(mi.LogLevel.Warn, f"refscatter: {sentence}.")
+                self.told.add(sentence)
+
+        prepared.once(lambda: tell(self.missing_in_media(prepared.scene)), "missing in media")
+        if self.options.surfaces and paths.ends:
+            prepared.once(lambda: tell(missing.on_surfaces(prepared.scene, paths.ends)), "missing on surfaces")
+
     def _sample(self, prepared, medium, sampler, ray, ray_weight, active, batch, progress):
         """One wavefront of camera rays: chain, single scattering along it, surfaces at its ends.
 
@@ -148,6 +165,10 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         paths = camera.trace(
             prepared.scene, ray, active, start, opt.internal_bounces, opt.surfaces, prepared.accuracy.weight
         )
+        if (
+            prepared.whole or n >= tolerances.MISSING_PHOTONS
+        ):  # for a few rays the estimate would cost more than they do
+            self._tell(prepared, paths)
         detail = bool({"candidates", "contributions"} & set(wanted))
         single = self.scatter(prepared, paths, ray, n, batch, sampler, detail, progress)
         unresolved = single.unresolved > dr.opaque(mi.Float, opt.tolerance) * dr.max(single.value)

@@ -22,6 +22,7 @@ class StraightIntegrator(RefscatterIntegrator):
     """
 
     known = options.Common
+    missing_in_media = staticmethod(lambda scene: [])  # what it leaves out is what it is for
 
     def prepare(self, scene, seed):
         return Prepared(scene, options.Options(**vars(self.options)), seed, self.kept, straight=True)

@@ -137,7 +137,7 @@ def read(scene, tolerance, kept, straight=False):
         mi_scene=scene, bodies=bodies, regions=regions, lights=lights,
         records=kept.once(lambda: lanes.array(mi.Float, np.concatenate([body.packed() for body in packed] or [np.zeros(24)])),
                           "records", *key),
-        body_of_shape=_per_shape(scene, mi.UInt32, NONE, {_shape_id(body.shape): body.index for body in bodies}),
+        body_of_shape=_per_shape(scene, mi.UInt32, NONE, {shape_number(body.shape): body.index for body in bodies}),
         **{key: lanes.array(kind, [getattr(body, key) for body in bodies] or [0])
            for key, kind in (("eta", mi.Float), ("first_record", mi.UInt32), ("extent", mi.Float),
                              ("inside", mi.UInt32), ("outside", mi.UInt32))},
@@ -150,7 +150,7 @@ def read(scene, tolerance, kept, straight=False):
         others=others,
         obstacles=_obstacles(others),
         key=key,
-        mirrors=_per_shape(scene, mi.Float, 0, {_shape_id(shape): _extent(shape) for shape in others if _is_mirror(shape)})
+        mirrors=_per_shape(scene, mi.Float, 0, {shape_number(shape): _extent(shape) for shape in others if _is_mirror(shape)})
         if any(map(_is_mirror, others)) else None,
     )  # fmt: skip
 
@@ -190,7 +190,7 @@ def _obstacles(others):
 
 def _per_shape(scene, kind, default, values):
     """A table by Mitsuba's number of a shape."""
-    table = [default] * (1 + max([_shape_id(shape) for shape in scene.shapes()], default=0))
+    table = [default] * (1 + max([shape_number(shape) for shape in scene.shapes()], default=0))
     for shape_id, value in values.items():
         table[shape_id] = value
     return lanes.array(kind, table)
@@ -202,7 +202,8 @@ def _extent(shape):
     return max(float(np.abs(np.array(corner)).max()) for corner in (box.min, box.max))
 
 
-def _shape_id(shape):
+def shape_number(shape):
+    """Mitsuba's number of a shape: what shape pointers are in kernels."""
     return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
@@ -281,4 +282,5 @@ def refuse_gradients(scene):
 
 __all__ = [
     "NONE", "ONCE", "REFUSED", "Scene", "SceneError", "holds", "name_shape", "read", "refusal", "refuse_gradients", "region_of_camera",
+    "shape_number",
 ]  # fmt: skip

@@ -54,7 +54,7 @@ SUPPORTED = {
     "bodies": Part("position", "several bodies, also touching each other", "each with its own index and medium"),
     "nested": Part("position", "bodies inside others: bubbles, hollow shells", "those inside name the medium around as their exterior"),
     "seen": Part("position", "bodies behind clear glass or in a mirror (smooth `conductor`)", "up to `internal_bounces` such hits"),
-    "glass between": Part("position", "a `dielectric` between a light and a body", "casts a shadow: no connection through it"),
+    "glass between": Part("position", "a `dielectric` between a light and a body", "casts a shadow: no connection through it, which a warning says"),
     "homogeneous": Part("medium", "`homogeneous`", "rgb or spectral, `scale`; any albedo"),
     "hg": Part("phase function", "`isotropic`, `hg`", "closed forms"),
     "phase": Part("phase function", "any other", "by its own `eval_pdf`"),

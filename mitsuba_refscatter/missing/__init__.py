@@ -1,0 +1,95 @@
+"""What a picture lacks: a rough estimate, told in warnings. The one place that knows which light is not computed.
+
+A few thousand photons go from the lights through boundaries and media and off surfaces, whether that is computed or not. What
+they leave in each medium is sorted by what happened to them before. For surfaces that are seen, straight lines to the lights tell how
+much light media take on the way.
+"""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import lanes, tolerances
+from ..scene import NONE, media, name_shape, shape_number
+from .emission import offset, photons, points
+from .walk import FURTHER, INSIDE, REFLECTED, REFRACTED, SURFACES, follow, look
+
+SAYS = {
+    REFRACTED: "it passes through {culprit} first, and light is followed through one refraction only",
+    INSIDE: "it is reflected inside {culprit} first, which is not followed",
+    REFLECTED: "it is reflected by {culprit} first, which is not followed",
+    SURFACES: "it comes from surfaces such as {culprit}, which is not followed",
+    FURTHER: "it has scattered before, and single scattering alone is computed; volpath finds the rest",
+}
+"""Why light is missing in a medium, by what happened to it."""
+
+IN_MEDIA = "{share} of the light that scatters in {region} is missing: {reason}"
+
+ON_SURFACES = ("{share} of the light on the surfaces that are seen is wrong: {region} is ignored on its way from the lights; "
+               "surfaces=false leaves surfaces out")  # fmt: skip
+
+
+def in_media(scene):
+    """Sentences about the light that is missing in the media of a ``scene.Scene``."""
+    regions = [region for region in scene.regions if region.scatters]
+    if not regions or not scene.lights:
+        return []
+    left, by_shape = follow(scene, photons(scene))
+    names, out = {shape_number(shape): name_shape(shape) for shape in scene.mi_scene.shapes()}, []
+    for region in regions:
+        total = left[:, region.index].sum()
+        for kind, sentence in SAYS.items():
+            share = left[kind, region.index] / max(total, 1e-30)
+            if share > (tolerances.MISSING_BEHIND if kind == REFRACTED else tolerances.MISSING):
+                reason = sentence.format(culprit=names.get(int(np.argmax(by_shape[kind, region.index])), "a boundary"))
+                out.append(IN_MEDIA.format(share=_about(share), region=_name(region), reason=reason))
+    return out
+
+
+def on_surfaces(scene, ends):
+    """Sentences about what media do to light on the surfaces where camera rays end. ``ends``: a list of ``camera.Legs``."""
+    if not scene.lights or not any(region.medium is not None for region in scene.regions):
+        return []
+    total = sum(map(len, ends))
+    some = [legs.gather(_evenly(len(legs), -(-len(legs) * tolerances.MISSING_PHOTONS // total))) for legs in ends]
+    legs = type(ends[0])(*(lanes.concat(x) for x in zip(*(vars(part).values() for part in some))))
+    count = len(legs)
+    si = scene.mi_scene.ray_intersect(mi.Ray3f(legs.o, legs.d), mi.RayFlags.Minimal, False)
+    n = dr.select(dr.dot(si.n, legs.d) > 0, -si.n, si.n)
+    start, seen, wrong = si.p + n * offset(si.p), 0.0, np.zeros(len(scene.regions) + 1)
+    for light, point in points(scene, count, mi.PCG32(size=count)):
+        omega_L, d_L = point.source(mi.Float(1), mi.Point3f(0)).seen_from(si.p)
+        arriving = legs.weight * point.intensity(media.visible()) * dr.maximum(dr.dot(n, omega_L), 0) / dr.square(d_L)
+        emission = point.emission(mi.Point3f(0), media.visible())
+        arriving = dr.mean(mi.Spectrum(arriving if emission is None else arriving * emission(si.p, omega_L, d_L)))
+        lit = si.is_valid() & dr.isfinite(arriving) & (arriving > 0)
+        distance = tolerances.ENDLESS if point.distant else d_L * (1 - tolerances.SHADOW_END)
+        view = look(scene, start, omega_L, distance, legs.region, lit)
+        # The nested integrator connects a point through nothing at all, and meets larger lights by chance behind anything.
+        exact = mi.Bool(light.exact is not None)
+        counted = dr.select(~view.free | (exact & view.crosses), mi.Float(0), 1)
+        right = dr.select(view.free & ~(exact & view.refracts), view.left, 0)
+        seen += float(dr.sum(dr.select(lit, arriving * dr.maximum(counted, right), 0))[0])
+        off = dr.zeros(mi.Float, lanes.room(len(wrong)))
+        dr.scatter_add(off, arriving * dr.abs(counted - right), view.region, lit & (view.region != NONE))
+        wrong += np.array(off)[: len(wrong)]
+    share = wrong.sum() / max(seen, 1e-30)
+    if share <= tolerances.MISSING_ON_SURFACES:
+        return []
+    return [ON_SURFACES.format(share=_about(share), region=_name(scene.regions[int(np.argmax(wrong))]))]
+
+
+def _evenly(n, count):
+    """Numbers of ``count`` of ``n`` things, or of all of them."""
+    return lanes.array(mi.UInt32, (np.arange(min(n, count)) + 0.5) * n / min(n, count))
+
+
+def _name(region):
+    """How a region is called: by its medium's id if it has one, and by its body."""
+    name = region.medium.id()
+    known = name and not name.startswith("_")
+    return f'the medium "{name}"' if known else f"the medium of {region.name}"
+
+
+def _about(share):
+    return f"about {share:.0%}" if share > 0.015 else "about 1%"

@@ -1,0 +1,252 @@
+"""The way of photons: through boundaries by Fresnel's choice, through media, off surfaces; and straight lines through all of it."""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import lanes, optics, tolerances
+from ..geometry import triangle
+from ..scene import NONE, media, shape_number
+
+COMPUTED, REFRACTED, INSIDE, REFLECTED, SURFACES, FURTHER = range(6)
+"""What happened to light before it scatters: nothing, or one refraction; several; a reflection inside a body; one by a mirror, a thin
+sheet or the outside of a body; one by a surface; another scattering. The last two hide the others."""
+
+KINDS = 6
+
+
+@dataclass
+class Met:
+    """What rays meet. ``hit``: whether there is something; ``t``: how far; ``shape``: its number; ``target``: the body (index) where it is a
+    ``boundary``; ``Ng``, ``n``: geometric and shading normal, outward; ``leaving``: whether the boundary is met from inside;
+    ``near``, ``behind``: the regions before and behind it."""
+
+    hit: object
+    t: object
+    shape: object
+    target: object
+    boundary: object
+    Ng: object
+    n: object
+    leaving: object
+    near: object
+    behind: object
+
+
+def meet(scene, o, d, active):
+    """``Met`` of rays (world)."""
+    ray = mi.Ray3f(o, d)
+    pi = scene.mi_scene.ray_intersect_preliminary(ray, active=active)
+    hit, target = pi.is_valid() & active, scene.find(pi.shape)
+    boundary = hit & (target != NONE)
+    first = dr.gather(mi.UInt32, scene.first_record, target, boundary)
+    tri = triangle.gather(scene.records, dr.select(boundary, first + pi.prim_index, 0), boundary)
+    plain = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit & ~boundary).n
+    leaving = boundary & (dr.dot(d, tri.Ng) > 0)
+    near, behind = (scene.near(target, side, boundary) for side in (leaving, ~leaving))
+    normals = (dr.select(boundary, n, mi.Vector3f(plain)) for n in (tri.Ng, tri.normal(pi.prim_uv.x, pi.prim_uv.y)))
+    return Met(hit, pi.t, dr.reinterpret_array(mi.UInt32, pi.shape), target, boundary, *normals, leaving, near, behind)
+
+
+class Tables:
+    """Media, boundaries and surfaces as tables for kernels. The region of no medium comes last."""
+
+    def __init__(self, scene):
+        self.size = dr.size_v(mi.Spectrum)
+        none = [np.zeros(self.size)] * 2
+        every = [none if region.medium is None else _coefficients(region) for region in scene.regions] + [none]
+        self.sigma_s, self.sigma_t = (lanes.array(mi.Float, np.concatenate(x)) for x in zip(*every))
+        self.reach = lanes.array(
+            mi.Float, [region.reach or tolerances.ENDLESS for region in scene.regions] + [tolerances.ENDLESS]
+        )
+        self.last = dr.opaque(mi.UInt32, len(scene.regions))
+        kinds = [body.kind for body in scene.bodies] or [""]
+        self.refracts, self.thin = (lanes.array(mi.UInt32, [kind == x for kind in kinds]) for x in ("refracts", "thin"))
+        self.mirror = scene.mirrors if scene.mirrors is not None else dr.zeros(mi.Float, dr.width(scene.body_of_shape))
+
+    def of(self, region):
+        """Index, sigma_s, sigma_t and reach of regions."""
+        index = dr.minimum(region, self.last)
+        s, t = (
+            mi.Spectrum(*(dr.gather(mi.Float, x, index * self.size + k) for k in range(self.size)))
+            for x in (self.sigma_s, self.sigma_t)
+        )
+        return index, s, t, dr.gather(mi.Float, self.reach, index)
+
+
+def _coefficients(region):
+    found = region.coefficients(media.visible(), mi.Vector3f(0, 0, 1))
+    return [np.array([np.ravel(x)[0] for x in spectrum]) for spectrum in found]
+
+
+def albedos(scene):
+    """A table by the number of a shape: what share of light a surface reflects, in the mean over itself and the wavelengths."""
+    known, out = {}, np.zeros(1 + max(map(shape_number, scene.mi_scene.shapes()), default=0))
+    n = tolerances.MISSING_TEXELS
+    si = dr.zeros(mi.SurfaceInteraction3f, n**2)
+    si.uv, si.wi = mi.Point2f(dr.meshgrid(*2 * [(dr.arange(mi.Float, n) + 0.5) / n])), mi.Vector3f(0, 0, 1)
+    si.n, si.wavelengths = mi.Normal3f(0, 0, 1), media.visible()
+    si.sh_frame = mi.Frame3f(si.n)
+    for shape in scene.others:
+        bsdf = shape.bsdf()
+        if bsdf is not None and id(bsdf) not in known:
+            seen = np.nan_to_num(np.array(dr.mean(bsdf.eval_diffuse_reflectance(si))))
+            known[id(bsdf)] = float(np.clip(seen, 0, 1).mean())
+        out[shape_number(shape)] = known.get(id(bsdf), tolerances.MISSING_ALBEDO)
+    return lanes.array(mi.Float, out)
+
+
+@dataclass
+class Walk:
+    """The state of photons. ``kind``: of COMPUTED ...; ``refractions``: their number; ``first``: number of the shape of the first of them;
+    ``culprit``: of the shape that makes the light one that is not computed; ``legs``: how many they have gone."""
+
+    o: object
+    d: object
+    region: object
+    weight: object
+    kind: object
+    refractions: object
+    first: object
+    culprit: object
+    random: object
+    legs: object
+    active: object
+
+
+def follow(scene, photons):
+    """What photons leave in media: by kind and region (KINDS, R + 1), and by kind, region and shape that is the reason (KINDS, R + 1, S)."""
+    n, regions = dr.width(photons.d), len(scene.regions) + 1
+    albedo, tables = albedos(scene), Tables(scene)
+    shapes = dr.width(albedo)
+    left = dr.zeros(mi.Float, lanes.room(KINDS * regions * (shapes + 1)))
+    size = dr.opaque(mi.UInt32, regions), dr.opaque(mi.UInt32, shapes + 1)
+
+    def leave(state, index, value):
+        culprit = dr.minimum(state.culprit, size[1] - 1)
+        dr.scatter_add(left, value, (state.kind * size[0] + index) * size[1] + culprit, state.active & (value > 0))
+
+    zero, none = dr.zeros(mi.UInt32, n), dr.full(mi.UInt32, NONE, n)
+    state = Walk(mi.Point3f(photons.o), mi.Vector3f(photons.d), mi.UInt32(photons.region), mi.Spectrum(photons.weight), zero, mi.UInt32(zero),
+                 none, mi.UInt32(none), mi.PCG32(size=n, initstate=1), mi.UInt32(zero), dr.full(mi.Bool, True, n))  # fmt: skip
+    dr.while_loop((state,), lambda state: state.active, lambda state: (_leg(state, scene, tables, albedo, leave),),
+                  label="missing", mode="symbolic")  # fmt: skip
+    dr.eval(left)
+    found = np.array(left)[: KINDS * regions * (shapes + 1)].reshape(KINDS, regions, shapes + 1)
+    return found.sum(axis=2), found[..., :-1]
+
+
+def _leg(state, scene, tables, albedo, leave):
+    """One leg of photons and what ends it: a scattering or a surface."""
+    met = meet(scene, state.o, state.d, state.active)
+    # Where faces touch, the one that is met tells the region better than the one that was left.
+    here = dr.select(met.boundary, met.near, state.region)
+    index, sigma_s, sigma_t, reach = tables.of(here)
+    length = dr.minimum(dr.select(met.hit, met.t, tolerances.ENDLESS), reach)
+    left = dr.exp(-sigma_t * length)
+    leave(state, index, dr.mean(state.weight * sigma_s / dr.maximum(sigma_t, 1e-30) * (1 - left)))
+
+    mean = dr.maximum(dr.mean(sigma_t), 1e-30)
+    stopped = 1 - dr.exp(-mean * length)
+    least = dr.select(state.kind == FURTHER, mi.Float(0), tolerances.MISSING_SCATTERED)
+    p = dr.select(dr.mean(sigma_s) > 0, dr.clip(stopped, least, 1 - tolerances.MISSING_SCATTERED), 0)
+    scatters = state.active & (state.random.next_float32() < p)
+    t = -dr.log(dr.maximum(1 - state.random.next_float32() * stopped, 1e-30)) / mean
+    after = sigma_s * dr.exp(-sigma_t * t) * stopped / dr.maximum(mean * dr.exp(-mean * t) * p, 1e-30)
+
+    event, through, d, factor = _event(state, scene, tables, albedo, met)
+    event = dr.select(scatters, FURTHER, event)
+    bends = ~scatters & (event == REFRACTED)
+    refractions = state.refractions + dr.select(bends, mi.UInt32(1), 0)
+    first = dr.select(bends & (state.first == NONE), met.shape, state.first)
+    event = dr.select(bends & (refractions < 2), COMPUTED, event)
+    worse = (event != COMPUTED) & ((state.kind == COMPUTED) | ((event >= SURFACES) & (event > state.kind)))
+    at = state.o + state.d * met.t
+    start = at + dr.copysign(tolerances.MISSING_OFFSET * dr.max(dr.abs(at)), dr.dot(d, met.Ng)) * met.Ng
+    anywhere = mi.warp.square_to_uniform_sphere(mi.Point2f(state.random.next_float32(), state.random.next_float32()))
+    return Walk(
+        o=mi.Point3f(dr.select(scatters, state.o + state.d * t, start)), d=mi.Vector3f(dr.select(scatters, anywhere, d)),
+        region=dr.select(scatters, here, dr.select(met.boundary, dr.select(through, met.behind, met.near), state.region)),
+        weight=state.weight * dr.select(scatters, after, left / (1 - p) * factor),
+        kind=dr.select(worse, event, state.kind), refractions=refractions, first=first,
+        culprit=dr.select(worse, dr.select(event == REFRACTED, first, met.shape), state.culprit), random=state.random, legs=state.legs + 1,
+        active=state.active & (scatters | (met.hit & (factor > 0))) & (state.legs < tolerances.MISSING_LEGS),
+    )  # fmt: skip
+
+
+def _event(state, scene, tables, albedo, met):
+    """What happens to photons at what they meet: the event, whether they go through it, their direction, what is left of them."""
+    thin, refracts = ((dr.gather(mi.UInt32, x, met.target, met.boundary) > 0) for x in (tables.thin, tables.refracts))
+    n = dr.select(dr.dot(state.d, met.n) < 0, met.n, -met.n)
+    eta = dr.select(met.boundary, dr.gather(mi.Float, scene.eta, met.target, met.boundary), 1)
+    eta_ti = dr.select(thin | (dr.dot(state.d, met.n) < 0), eta, dr.rcp(eta))
+    F, cos_t = optics.fresnel(dr.minimum(-dr.dot(state.d, n), 1), eta_ti)
+    F = dr.select(thin, optics.twice(F), dr.select(refracts, F, 0))
+    reflects = met.boundary & (state.random.next_float32() < F)
+    mirror = met.hit & (dr.gather(mi.Float, tables.mirror, met.shape, met.hit) > 0)
+    d = dr.select(refracts, optics.refract(state.d, n, cos_t, eta_ti), state.d)
+    d = dr.select(reflects | mirror, optics.reflect(state.d, n), d)
+    plain = met.hit & ~met.boundary & ~mirror
+    cosine = mi.warp.square_to_cosine_hemisphere(mi.Point2f(state.random.next_float32(), state.random.next_float32()))
+    d = dr.select(plain, mi.Frame3f(n).to_world(cosine), d)
+    event = dr.select(refracts, mi.UInt32(REFRACTED), COMPUTED)
+    event = dr.select(reflects | mirror, dr.select(refracts & met.leaving, mi.UInt32(INSIDE), REFLECTED), event)
+    factor = dr.select(plain, dr.gather(mi.Float, albedo, met.shape, plain), 1)
+    return dr.select(plain, SURFACES, event), met.boundary & ~reflects, d, factor
+
+
+@dataclass
+class View:
+    """A straight line to a light. ``free``: no surface is in the way; ``crosses``, ``refracts``: whether it crosses boundaries, and such that
+    refract; ``left``: share of the light that media leave; ``region``: that takes most, or NONE."""
+
+    free: object
+    crosses: object
+    refracts: object
+    left: object
+    region: object
+
+
+def look(scene, o, d, distance, region, active):
+    """``View`` of straight lines from o in regions, as far as ``distance``."""
+    tables, n = Tables(scene), dr.width(o)
+
+    def step(o, rest, region, active, depth, deepest, which, view):
+        met = meet(scene, o, d, active)
+        met.hit &= met.t < rest
+        index, _, sigma_t, reach = tables.of(dr.select(met.boundary & met.hit, met.near, region))
+        here = dr.mean(sigma_t) * dr.select(met.hit, met.t, dr.minimum(rest, reach))
+        here = dr.select(active, here, 0)
+        which, deepest = dr.select(here > deepest, index, which), dr.maximum(here, deepest)
+        boundary = met.hit & met.boundary
+        bends = boundary & (dr.gather(mi.UInt32, tables.refracts, met.target, boundary) > 0)
+        view = View(
+            view.free & ~(met.hit & ~met.boundary),
+            view.crosses | boundary,
+            view.refracts | bends,
+            view.left,
+            view.region,
+        )
+        ahead = met.t + tolerances.MISSING_OFFSET * dr.max(dr.abs(o + d * met.t)) / dr.maximum(
+            dr.abs(dr.dot(d, met.Ng)), tolerances.GRAZING
+        )
+        go_on = boundary & (rest > ahead)
+        return (mi.Point3f(o + d * dr.select(go_on, ahead, 0)), rest - dr.select(go_on, ahead, 0), dr.select(go_on, met.behind, region), go_on,
+                depth + here, deepest, which, view)  # fmt: skip
+
+    zero, no, none = dr.zeros(mi.Float, n), dr.full(mi.Bool, False, n), dr.full(mi.UInt32, NONE, n)
+    view = View(dr.full(mi.Bool, True, n), no, mi.Bool(no), mi.Float(zero), none)
+    state = (
+        mi.Point3f(o),
+        zero + distance,
+        mi.UInt32(region),
+        no | active,
+        mi.Float(zero),
+        mi.Float(zero),
+        mi.UInt32(none),
+        view,
+    )
+    *_, depth, _, which, view = dr.while_loop(state, lambda *x: x[3], step, label="look", mode="symbolic")
+    return View(view.free, view.crosses, view.refracts, dr.exp(-depth), which)
