@@ -248,5 +248,6 @@ def look(scene, o, d, distance, region, active):
         mi.UInt32(none),
         view,
     )
-    *_, depth, _, which, view = dr.while_loop(state, lambda *x: x[3], step, label="look", mode="symbolic")
+    end = dr.while_loop(state, lambda *x: x[3], step, label="look", mode="symbolic")
+    depth, which, view = end[4], end[6], end[7]
     return View(view.free, view.crosses, view.refracts, dr.exp(-depth), which)
