@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parent.parent / "mitsuba_refscatter"
 # Modules and subpackages from the ground up. What uses Mitsuba only to describe a machine
 # or to write a file (platform, output) knows nothing of the others.
 ORDER = [
-    "spelling", "platform", "optics", "tolerances", "lanes", "kept", "sequence", "geometry", "scene", "visibility", "air", "solve", "culling",
+    "spelling", "platform", "tolerances", "optics", "lanes", "kept", "sequence", "geometry", "scene", "visibility", "air", "solve", "culling",
     "estimators", "wavefront", "camera", "options", "film", "integrators", "probing", "plugin", "scenes", "output",
     "compare", "meshcheck", "console", "comparing", "measuring", "cli", "__main__",
 ]  # fmt: skip
