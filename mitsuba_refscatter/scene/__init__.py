@@ -1,4 +1,7 @@
-"""The only reader of ``mi.Scene``: bodies, regions, media and lights as plain records, and what is refused."""
+"""What a ``mi.Scene`` holds as plain records: bodies, regions, media and lights; and what is refused.
+
+Nothing else of the renderer reads it. Rays are traced against it elsewhere, too: ``camera``, ``visibility``, ``air`` and ``probing`` do so.
+"""
 
 from dataclasses import dataclass
 
