@@ -304,7 +304,7 @@ def _refuse_overlaps(scene, legs, t, target, other):
     found = dr.compress(other)
     if dr.width(found) == 0:
         return
-    few = dr.gather(mi.UInt32, found, dr.arange(mi.UInt32, min(16, dr.width(found))))
+    few = dr.gather(mi.UInt32, found, dr.arange(mi.UInt32, min(tolerances.OVERLAP_RAYS, dr.width(found))))
     middle = dr.gather(mi.Point3f, mi.Point3f(legs.o + 0.5 * t * legs.d), few).numpy().T
     named = [dr.gather(mi.UInt32, x, few).numpy() for x in (legs.region, target)]
     for point, here, hit in zip(middle, *named):

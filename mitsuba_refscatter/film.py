@@ -34,7 +34,7 @@ def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progres
                 sampler.set_sample_count(per_pass)
             sampler.set_samples_per_wavefront(per_pass)
             sampler.seed(seed if done == 0 else sample_seed(seed, done), pixels * per_pass)
-            block.set_coalesce(coalesce and per_pass >= 4)
+            block.set_coalesce(coalesce and per_pass >= tolerances.COALESCED)
             seeded = per_pass
         batch = Batch(done, per_pass)
         ray, weight, position = _rays(sensor, sampler, film, size, border, batch, sequence)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import drjit as dr
 
+from . import tolerances
+
 
 @dataclass
 class Source:
@@ -66,7 +68,7 @@ def inside_cosine2(c_L, eta):
 def refract_in_derivative(omega_L, n, eta, c_L, c_V, d_omega_L, d_n):
     """Derivative of ``refract_in``'s direction, given those of ``omega_L`` and ``n``."""
     d_c_L = dr.dot(d_omega_L, n) + dr.dot(omega_L, d_n)
-    d_c_V = d_c_L * c_L / (dr.square(eta) * dr.maximum(c_V, 1e-6))
+    d_c_V = d_c_L * c_L / (dr.square(eta) * dr.maximum(c_V, tolerances.CRITICAL))
     return -d_omega_L / eta + d_n * (c_L / eta - c_V) + n * (d_c_L / eta - d_c_V)
 
 
@@ -80,8 +82,8 @@ def transmission(c_L, c_V, eta):
     (0.96, 1.0)
     """
     c = dr.maximum(c_L, 0)
-    s_wave = dr.rcp(dr.maximum(c + eta * c_V, 1e-12))
-    p_wave = dr.rcp(dr.maximum(eta * c + c_V, 1e-12))
+    s_wave = dr.rcp(dr.maximum(c + eta * c_V, tolerances.LEAST_COSINES))
+    p_wave = dr.rcp(dr.maximum(eta * c + c_V, tolerances.LEAST_COSINES))
     return 2 * eta * (dr.square(c * s_wave) + dr.square(c * p_wave))
 
 
@@ -96,9 +98,8 @@ def fresnel(cos_i, eta_ti):
     """
     sin2_t = (1 - dr.square(cos_i)) / dr.square(eta_ti)
     cos_t = dr.safe_sqrt(1 - sin2_t)
-    # The floor only matters for eta = 1 at grazing incidence, where nothing is reflected.
-    r_s = (cos_i - eta_ti * cos_t) / dr.maximum(cos_i + eta_ti * cos_t, 1e-12)
-    r_p = (eta_ti * cos_i - cos_t) / dr.maximum(eta_ti * cos_i + cos_t, 1e-12)
+    r_s = (cos_i - eta_ti * cos_t) / dr.maximum(cos_i + eta_ti * cos_t, tolerances.LEAST_COSINES)
+    r_p = (eta_ti * cos_i - cos_t) / dr.maximum(eta_ti * cos_i + cos_t, tolerances.LEAST_COSINES)
     F = 0.5 * (dr.square(r_s) + dr.square(r_p))
     return dr.select(sin2_t >= 1, 1, F), cos_t
 
@@ -137,5 +138,5 @@ def henyey_greenstein(cosine, g):
     >>> round(henyey_greenstein(1.0, 0.5) / isotropic(), 3), round(henyey_greenstein(-1.0, 0.5) / isotropic(), 3)
     (6.0, 0.222)
     """
-    base = dr.maximum(1 + dr.square(g) - 2 * g * cosine, 1e-9)
+    base = dr.maximum(1 + dr.square(g) - 2 * g * cosine, tolerances.LEAST_LOBE)
     return dr.inv_four_pi * (1 - dr.square(g)) * dr.rsqrt(base) / base

@@ -96,7 +96,9 @@ class Pace:
 
     def next(self, size, found):
         """After ``size`` bundles had ``found`` pairs. Neighbouring ones are alike, distant ones are not: it grows step by step."""
-        self.bundles = min(tolerances.CHUNK_BUNDLES, _fitting(size, found), max(4 * size, self.bundles))
+        self.bundles = min(
+            tolerances.CHUNK_BUNDLES, _fitting(size, found), max(tolerances.CHUNK_GROWTH * size, self.bundles)
+        )
 
 
 def scatter(segments, culling, lighting, accuracy, estimator, seed=0, detail=False, progress=None, pace=None):
@@ -290,5 +292,5 @@ class Work:
 
 
 def _fitting(size, found):
-    """Bundles whose pairs should fill 80 % of the buffer, judged by ``size`` that had ``found``."""
-    return int(0.8 * size * tolerances.CHUNK_PAIRS / max(found, 1)) + 1
+    """Bundles whose pairs should fill ``tolerances.FILLED`` of the buffer, judged by ``size`` that had ``found``."""
+    return int(tolerances.FILLED * size * tolerances.CHUNK_PAIRS / max(found, 1)) + 1

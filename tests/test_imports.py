@@ -1,4 +1,5 @@
-"""Imports run one way: a module may use what stands before it in ORDER, and nothing else of the package."""
+"""Imports run one way: a module may use what stands before it in ORDER, and nothing else of the package. And ``scene/`` alone reads
+what a scene of Mitsuba's holds."""
 
 import ast
 from pathlib import Path
@@ -10,10 +11,29 @@ PACKAGE = Path(__file__).parent.parent / "mitsuba_refscatter"
 # Modules and subpackages from the ground up. What uses Mitsuba only to describe a machine
 # or to write a file (platform, output) knows nothing of the others.
 ORDER = [
-    "spelling", "platform", "optics", "tolerances", "lanes", "kept", "sequence", "geometry", "scene", "missing", "visibility", "air", "solve", "culling",
+    "spelling", "platform", "tolerances", "optics", "lanes", "kept", "sequence", "geometry", "scene", "missing", "visibility", "air", "solve",
+    "culling",
     "estimators", "wavefront", "camera", "options", "film", "integrators", "probing", "plugin", "scenes", "output",
     "compare", "meshcheck", "console", "comparing", "measuring", "cli", "__main__",
 ]  # fmt: skip
+
+TOOLS = {"scenes", "output", "compare", "meshcheck", "console", "comparing", "measuring", "cli", "__main__"}
+"""They load scenes, change them and render them with other integrators."""
+
+TRACING = {"ray_intersect_preliminary", "ray_test"}
+
+ASKS = {
+    "air.py": {"ray_intersect_preliminary"},
+    "camera.py": {"ray_intersect_preliminary", "compute_surface_interaction", "bsdf"},  # the latter two of mirrors
+    "missing/walk.py": {"ray_intersect_preliminary", "compute_surface_interaction"},
+    "visibility.py": {*TRACING, "bbox"},  # of what may be in the way
+    "integrators/refscatter.py": {"sensors"},
+    "probing/__init__.py": {"ray_intersect_preliminary", "sensors"},
+}
+"""What modules of the renderer but ``scene/`` ask scenes, shapes and media of Mitsuba's for."""
+
+HANDS_ON = {"integrators/refscatter.py"}
+"""Who gives Mitsuba's scene to others: to the nested integrator."""
 
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 
@@ -58,3 +78,43 @@ def test_the_walk_sees_every_form_of_import(tmp_path, monkeypatch):
                     "from mitsuba_refscatter import f\nfrom mitsuba_refscatter.g import h\nimport numpy\n"
                     "def late():\n    from ..i.j import k\n")  # fmt: skip
     assert sorted(imported(file)) == ["a", "b", "culling", "e", "f", "g", "i"]
+
+
+def of_the_renderer():
+    """Names and trees of the modules that must not read scenes."""
+    for path in MODULES:
+        parts = path.relative_to(PACKAGE).parts
+        if parts[0].removesuffix(".py") not in TOOLS | {"scene"}:
+            yield "/".join(parts), ast.parse(path.read_text(encoding="utf-8"))
+
+
+def test_scene_alone_reads_scenes(rgb):
+    """Other modules call nothing that scenes, shapes and media of Mitsuba's have but what ``ASKS`` says."""
+    import mitsuba as mi
+
+    readers = {name for kind in (mi.Scene, mi.Shape, mi.Mesh, mi.Medium) for name in dir(kind)} - set(dir(mi.Object))
+    assert {"shapes", "emitters", "interior_medium", "vertex_positions_buffer", "phase_function"} <= readers
+    asked = {name: called(tree) & readers for name, tree in of_the_renderer()}
+    assert {name: calls for name, calls in asked.items() if calls} == ASKS
+
+
+def test_rays_are_all_that_a_scene_is_asked_for():
+    """``Scene.mi_scene``, outside of ``scene/``."""
+    for name, tree in of_the_renderer():
+        known = {id(x.value) for x in ast.walk(tree) if isinstance(x, ast.Attribute) and x.attr in TRACING}
+        others = [
+            x for x in ast.walk(tree) if isinstance(x, ast.Attribute) and x.attr == "mi_scene" and id(x) not in known
+        ]
+        assert bool(others) == (name in HANDS_ON), f"{name} takes mi_scene for more than rays"
+
+
+def called(tree):
+    """Names of the methods that are called in a tree, or taken from an object by ``getattr``."""
+    calls = [x for x in ast.walk(tree) if isinstance(x, ast.Call)]
+    methods = {x.func.attr for x in calls if isinstance(x.func, ast.Attribute)}
+    taken = [x.args[1] for x in calls if isinstance(x.func, ast.Name) and x.func.id == "getattr" and len(x.args) > 1]
+    return methods | {x.value for x in taken if isinstance(x, ast.Constant)}
+
+
+def test_the_walk_sees_calls():
+    assert called(ast.parse("a.b().c(d.e)\nf(g.h)\ngetattr(i, 'j')(k)")) == {"b", "c", "j"}

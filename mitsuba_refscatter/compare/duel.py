@@ -19,9 +19,11 @@ class Subject:
     def of(cls, name, load):
         """A scene of the user's, loaded once to count triangles."""
         from ..kept import Kept
+        from ..options import Options
         from ..scene import read
 
-        return cls(name, load, sum(body.triangle_count for body in read(load(), 0.01, Kept()).bodies))
+        bodies = read(load(), Options().tolerance, Kept()).bodies
+        return cls(name, load, sum(body.triangle_count for body in bodies))
 
 
 @dataclass

@@ -71,7 +71,7 @@ def write(directory, size, samples, variant, seconds, report=lambda name: None):
     """Writes ``scenes.png``, ``densities.png`` and ``methods.png``; returns their paths. ``report(name)`` is called before each."""
     import mitsuba as mi
 
-    setup, paths = race.Setup(variant, seconds, 0, 0.01, False), []
+    setup, paths = race.Setup(variant, seconds), []
     for name, make in (("scenes", lambda: scenes(size, samples)), ("densities", lambda: densities(size, samples)),
                        ("methods", lambda: methods(size, setup))):  # fmt: skip
         report(name)

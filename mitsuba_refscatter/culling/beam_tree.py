@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from .. import tolerances
 from ..geometry import bvh, triangle
 from . import beam
 
@@ -80,19 +81,15 @@ def merge(a, b):
                  for x, y, z in zip(a.fields(), b.fields(), union.fields()))  # fmt: skip
 
 
-FAR = 1e30
-"""Where the box of an empty node is: no segment comes there."""
-
-
 def pack(fields):
     """The ``NODE`` numbers of a node."""
     b = Bounds(*fields)
     h, r = b.half(), 0.5 * (b.rest_high - b.rest_low)
     change = _times([dr.abs(x) for x in b.columns()], h)
-    out = []
+    out, nowhere = [], mi.Vector3f(tolerances.ENDLESS)  # no segment comes to the box of an empty node
     for x in (
         b.centre(), h, 0.5 * (b.rest_low + b.rest_high), *b.columns(), r,
-        dr.select(b.count == 0, mi.Vector3f(FAR), b.box_low), dr.select(b.count == 0, mi.Vector3f(FAR), b.box_high),
+        dr.select(b.count == 0, nowhere, b.box_low), dr.select(b.count == 0, nowhere, b.box_high),
     ):  # fmt: skip
         out += [x.x, x.y, x.z]
     return out + [dr.norm(h) * (dr.norm(change) + dr.norm(r))]
@@ -120,7 +117,7 @@ def _beam_bounds(piece, body):
     n = dr.cross(e1, e2)
     area2 = dr.squared_norm(n)
     # The dual basis of the edges in the triangle's plane; no model for needles, whose omega changes little.
-    fine = area2 > 1e-6 * dr.squared_norm(e1) * dr.squared_norm(e2)
+    fine = area2 > tolerances.NEEDLE * dr.squared_norm(e1) * dr.squared_norm(e2)
     b1, b2 = (dr.select(fine, x / dr.select(fine, area2, 1), 0) for x in (dr.cross(e2, n), dr.cross(n, e1)))
     w1, w2 = omega[1] - omega[0], omega[2] - omega[0]
     columns = [w1 * b1[k] + w2 * b2[k] for k in range(3)]
@@ -145,16 +142,16 @@ def _beam_box(P, omega, bend, sag, body):
     A ray leaves the body's box at the latest where it passes the wall ahead along any one axis. Rays between the
     corners may go further than the corners' own: per axis the longest way is taken, over the axes the shortest.
     """
-    low, high = (dr.opaque(mi.Vector3f, x) for x in (body.box_low, body.box_high))
+    low, high, least = *(dr.opaque(mi.Vector3f, x) for x in (body.box_low, body.box_high)), tolerances.ALONG_WALL
     reach = dr.norm(high - low)
     P_low, P_high = _hull(P, sag)
     w_low, w_high = _hull(omega, bend)
     for k in range(3):
         up, down = (
-            (high[k] - P_low[k]) / dr.maximum(w_low[k], 1e-6),
-            (P_high[k] - low[k]) / dr.maximum(-w_high[k], 1e-6),
+            (high[k] - P_low[k]) / dr.maximum(w_low[k], least),
+            (P_high[k] - low[k]) / dr.maximum(-w_high[k], least),
         )
-        along = dr.select(w_low[k] > 1e-6, up, dr.select(w_high[k] < -1e-6, down, 1e30))
+        along = dr.select(w_low[k] > least, up, dr.select(w_high[k] < -least, down, tolerances.ENDLESS))
         reach = dr.minimum(reach, along)
     ends = [p + reach * w for p, w in zip(P, omega)]
     box_low, box_high = _hull(list(P) + ends, bend * reach + sag)

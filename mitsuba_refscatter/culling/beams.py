@@ -15,7 +15,7 @@ from .. import lanes, tolerances
 from ..geometry import bvh, triangle
 from . import beam as light_beam
 from . import beam_tree
-from .pairs import UNKNOWN, Reach, Taken
+from .pairs import Reach, Taken
 
 
 @dataclass
@@ -52,7 +52,8 @@ class Beams:
     def near(self, beam, bundles):
         """Which beams (indices) may have zeros of g for a segment of bundles, lane by lane."""
         piece = light_beam.unpack(triangle.gather_numbers(self.records, beam, light_beam.BEAM))
-        low, high, reach, far = mi.Float(1e30), mi.Float(-1e30), mi.Float(0), mi.Float(0)
+        low, high = mi.Float(tolerances.ENDLESS), mi.Float(-tolerances.ENDLESS)
+        reach, far = mi.Float(0), mi.Float(0)
         for p, w in zip(piece.P, piece.omega):
             to = p - bundles.o
             across = dr.cross(to, bundles.d)
@@ -114,7 +115,7 @@ def _levels(tri, light, size, bend, proven_lit):
         width = dr.maximum(width, edge + size * dr.norm(omega[j] - omega[k]))
     excess = dr.maximum(light_beam.excess(piece, light), deviation / dr.maximum(bend * width, 1e-30))
     excess = dr.maximum(excess, dr.select(proven_lit, 0, longest / (tolerances.PARTLY_LIT * size)))
-    level = dr.ceil(dr.log2(dr.clip(excess, 1e-6, 1e6)))
+    level = dr.ceil(dr.log2(dr.clip(excess, *tolerances.EXCESS)))
     return mi.UInt32(dr.clip(level, 0, tolerances.MAX_SUBDIVISION))
 
 
@@ -149,7 +150,7 @@ def build(body, scene_records, order, light, bend, seen, clear):
     records = dr.empty(mi.Float, count * light_beam.BEAM)
     tri = triangle.gather(scene_records, index)
     piece = light_beam.nothing(light_beam.piece_at(tri, light, u0, v0, h), ~exists)
-    reach = [mi.Float(0)] * 4 + [mi.Float(UNKNOWN)] if clear is None else clear(tri, piece)
+    reach = [mi.Float(0)] * 4 + [mi.Float(tolerances.ENDLESS)] if clear is None else clear(tri, piece)
     triangle.scatter_numbers(records, light_beam.numbers(piece, reach), dr.arange(mi.UInt32, count))
     width = float(dr.mean(dr.norm(h * tri.P_u))[0])
     dr.eval(records, index, proven)

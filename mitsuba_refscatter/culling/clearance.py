@@ -13,7 +13,6 @@ from .. import tolerances
 from ..geometry import bvh
 from ..geometry.surface import Surface
 from . import beam
-from .pairs import UNKNOWN
 
 NODE = 12
 """Numbers per node: centre and radius of a sphere, middle and half width of the normals' box, 2 pad."""
@@ -50,7 +49,7 @@ class Clearance:
         spread = (
             dr.maximum(dr.norm(omega[0] - axis), dr.maximum(dr.norm(omega[1] - axis), dr.norm(omega[2] - axis))) + bend
         )
-        wide = spread > 0.5
+        wide = spread > tolerances.BROAD
 
         def visit(x, leaf, at_leaf, active, best):
             near, touched = _first_touch(mi.Vector3f(x[0:3]) - axis_P, x[3], axis, start, spread)
@@ -62,12 +61,12 @@ class Clearance:
             return enter, best
 
         width = dr.width(P[0].x)
-        best = bvh.walk(self.surface.tree, width, visit, dr.full(mi.Float, 1e30, width))
+        best = bvh.walk(self.surface.tree, width, visit, dr.full(mi.Float, tolerances.ENDLESS, width))
         best = dr.select(wide, 0, best)
-        return [best, best, best, mi.Float(0), mi.Float(UNKNOWN)]
+        return [best, best, best, mi.Float(0), mi.Float(tolerances.ENDLESS)]
 
     def _touch(self, leaf, j, active, P, omega, bend, axis_P, axis, start, spread, sag):
-        """Smallest distance at which the beams can leave through the j-th triangle of a leaf, or 1e30."""
+        """Smallest distance at which the beams can leave through the j-th triangle of a leaf, or ``tolerances.ENDLESS``."""
         _, tri = self.surface.member(leaf, j, active)
         middle, radius = tri.ball()
         near, touched = _first_touch(middle - axis_P, radius, axis, start, spread)
@@ -77,19 +76,20 @@ class Clearance:
             dr.maximum(dr.maximum(*cosines[:2]), cosines[2]),
             dr.minimum(dr.minimum(*cosines[:2]), cosines[2]),
         )
-        plane = mi.Float(1e30)
+        plane = mi.Float(tolerances.ENDLESS)
         for p, c in zip(P, cosines):
-            plane = dr.minimum(plane, dr.dot(tri.P0 - p, tri.Ng) / dr.maximum(c, 1e-6))
-        plane -= sag / dr.maximum(flattest, 1e-6)
-        plane *= 0.999 - dr.minimum(bend / dr.maximum(flattest, 1e-6), 0.999)
-        near = dr.select(flattest > 2 * bend + 1e-3, dr.maximum(near, plane), near)
-        return dr.select(active & touched & (steepest + bend > 0), near, 1e30)
+            plane = dr.minimum(plane, dr.dot(tri.P0 - p, tri.Ng) / dr.maximum(c, tolerances.LEAVING))
+        least = dr.maximum(flattest, tolerances.LEAVING)
+        plane -= sag / least
+        plane *= tolerances.TRUSTED - dr.minimum(bend / least, tolerances.TRUSTED)
+        near = dr.select(flattest > 2 * bend + tolerances.STEEP, dr.maximum(near, plane), near)
+        return dr.select(active & touched & (steepest + bend > 0), near, tolerances.ENDLESS)
 
 
 def _first_touch(to_centre, radius, axis, start, spread):
     """Where a cone around a ray (radius start + spread s) can first touch a sphere, and whether it does."""
     along = dr.dot(to_centre, axis)
-    last = (along + radius + start) / dr.maximum(1 - spread, 0.5)
+    last = (along + radius + start) / dr.maximum(1 - spread, 1 - tolerances.BROAD)
     reach = radius + start + spread * dr.maximum(last, 0)
     across2 = dr.squared_norm(to_centre) - dr.square(along)
     room = dr.square(reach) - across2

@@ -59,14 +59,10 @@ class Pairs:
         return dr.width(self.segment)
 
 
-UNKNOWN = 1e30
-"""What is added to a length to say nothing about what is behind it."""
-
-
 @dataclass
 class Reach:
     """How far light beams get inside their body: lengths ``at_corners`` of their triangles, at the place (u0, v0, h), and linear
-    in between. Free up to ``below`` less than that, blocked from ``above`` more on."""
+    in between. Free up to ``below`` less than that, blocked from ``above`` more on (``tolerances.ENDLESS`` where nothing is known of that)."""
 
     u0: object
     v0: object

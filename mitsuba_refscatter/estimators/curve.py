@@ -24,7 +24,7 @@ import mitsuba as mi
 
 from .. import optics, tolerances
 from ..culling import beam as light_beam
-from ..geometry.interval import positive_part
+from ..geometry.interval import gauss_legendre, positive_part
 from .chord import chord_of, limits_at, meeting
 
 classify = light_beam.classify
@@ -158,7 +158,7 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     total, contributes, is_open = mi.Spectrum(0), mi.Bool(False), mi.Bool(False)
     resolved = chord.nonlinearity <= dr.opaque(mi.Float, accuracy.linear)
     points = accuracy.guest_points if lighting.guests else accuracy.points
-    for tau, weight in zip(*tolerances.gauss(points)):
+    for tau, weight in zip(*gauss_legendre(points)):
         tau = interval.start + tau * (interval.end - interval.start)
         point, inverse_slope, solved = solve(chord, chord.direction(tau), tri, lighting, segment, newton)
         t, s = meeting(point.P, point.omega, segment)

@@ -176,7 +176,7 @@ def store(photons, lengths, sigma_t, beams, radius, body, sampler):
     else:
         # Distances as the mean of the colours is attenuated, to the end of the way at most.
         mean = dr.maximum(dr.mean(sigma_t), 1e-30)
-        depth = dr.maximum(mean * lengths, 1e-6)
+        depth = dr.maximum(mean * lengths, tolerances.PHOTON_THIN)
         reached = 1 - dr.exp(-depth)
         s = -dr.log(1 - sampler.next_1d() * reached) * lengths / depth
         pdf = depth / lengths * dr.exp(-depth * s / lengths) / reached

@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from .. import lanes, tolerances
+from ..geometry.interval import gauss_legendre
 
 
 def angle_panels(phase, accuracy):
@@ -22,7 +23,7 @@ def angle_panels(phase, accuracy):
     cover must be below ``accuracy.lobes`` relative to the integral over all. (A light that is near a camera ray sees it under
     up to half a circle, and panels that are even in that angle are so in that of scattering.)
     """
-    shifts, (x, w) = np.arange(4) / 4, (np.array(y) for y in tolerances.gauss(accuracy.panel_points))
+    shifts, (x, w) = np.arange(4) / 4, (np.array(y) for y in gauss_legendre(accuracy.panel_points))
     counts = [accuracy.panels]
     while counts[-1] < tolerances.MOST_PANELS:
         counts.append(2 * counts[-1])
@@ -158,7 +159,7 @@ class _Integrand:
 
 def _integrate(panels, integrand, n, accuracy, jumps):
     """The integral in panels."""
-    steps, nodes = dr.opaque(mi.UInt32, accuracy.panels), list(zip(*tolerances.gauss(accuracy.panel_points)))
+    steps, nodes = dr.opaque(mi.UInt32, accuracy.panels), list(zip(*gauss_legendre(accuracy.panel_points)))
     count = dr.opaque(mi.UInt32, panels.count(accuracy.panels))
 
     def number(t, active=True):

@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .. import tolerances
 from .triangle import gather_numbers, scatter_numbers
 
 LEAF = 4
@@ -81,7 +82,8 @@ def morton_order(points):
 
 def finite_inverse(d):
     """1 / d of directions with zeros kept finite, for box tests."""
-    return mi.Vector3f(*(dr.rcp(dr.select(dr.abs(x) < 1e-20, dr.mulsign(1e-20, x), x)) for x in d))
+    least = tolerances.LEAST_DIRECTION
+    return mi.Vector3f(*(dr.rcp(dr.select(dr.abs(x) < least, dr.mulsign(least, x), x)) for x in d))
 
 
 def box(points):

@@ -6,19 +6,8 @@ What lies on creases and holes stays: there, faces have vertices of their own. N
 
 import numpy as np
 
+from .. import tolerances
 from . import mesh
-
-WORTH = 0.01
-"""Vertices relative to faces that must go in a round for another one of the same length."""
-
-SHAPE = 0.25
-"""Least height of a triangle relative to its longest edge."""
-
-START_SHAPE = 0.15
-"""The same in the first round, else nothing could be taken away from a regular mesh."""
-
-LEAN = 0.7
-"""Least cosine between a face and the normals at its corners."""
 
 
 def coarser(vertices, normals, faces, twin, turns, longest):
@@ -31,16 +20,16 @@ def coarser(vertices, normals, faces, twin, turns, longest):
     fixed[faces.ravel()[twin < 0]] = fixed[np.roll(faces, -1, axis=1).ravel()[twin < 0]] = True
     vertices, normals = vertices.astype(np.float32), normals.astype(np.float32)
     random = np.random.default_rng(0)
-    shape = START_SHAPE
+    shape = tolerances.FIRST_SHAPE
     for least in (1 - 0.5 * turn**2 for turn in turns):
         done = len(faces)
-        while done > WORTH * len(faces):
+        while done > tolerances.ROUND_WORTH * len(faces):
             faces, done = _round(vertices, normals, faces, fixed, longest, least, shape, random)
-            if shape < SHAPE:
+            if shape < tolerances.LEAST_SHAPE:
                 faces, _ = _flips(vertices, normals, faces, least, random)
-            shape = SHAPE
+            shape = tolerances.LEAST_SHAPE
         done = len(faces)
-        while done > WORTH * len(faces):
+        while done > tolerances.ROUND_WORTH * len(faces):
             faces, done = _flips(vertices, normals, faces, least, random)
         yield faces
 
@@ -56,7 +45,7 @@ def _flips(vertices, normals, faces, turn, random):
     a, b, c, d = corner[edge], corner[_next(edge)], corner[_next(_next(edge))], corner[_next(_next(other))]
     cosine_c, sine_c = _angle(vertices, c, a, b)
     cosine_d, sine_d = _angle(vertices, d, a, b)
-    bad = sine_c * cosine_d + cosine_c * sine_d < -1e-3
+    bad = sine_c * cosine_d + cosine_c * sine_d < -tolerances.FLIP
     bad &= np.einsum("ij,ij->i", normals[c], normals[d]) >= turn
     edge, other, a, b, c, d = (x[bad] for x in (edge, other, a, b, c, d))
     good = _lies_well(vertices, normals, a, d, c) & _lies_well(vertices, normals, d, b, c)
@@ -90,7 +79,7 @@ def _angle(vertices, at, a, b):
 
 def _lies_well(vertices, normals, a, b, c):
     m = np.cross(vertices[b] - vertices[a], vertices[c] - vertices[a])
-    least = LEAN * np.linalg.norm(m, axis=1)
+    least = tolerances.LEAN * np.linalg.norm(m, axis=1)
     return np.all([np.einsum("ij,ij->i", m, normals[i]) > least for i in (a, b, c)], axis=0)
 
 
@@ -162,7 +151,7 @@ def _shape(vertices, normals, v, p, q, face, longest, turn):
     m = np.cross(a, b)
     area, edge2 = np.sqrt(np.einsum("ij,ij->i", m, m)), np.einsum("ij,ij->i", a, a)
     good = (edge2 <= longest**2) & (np.einsum("ij,ij->i", n, n_p[face]) >= turn)
-    good &= np.einsum("ij,ij->i", m, n) >= LEAN * area
+    good &= np.einsum("ij,ij->i", m, n) >= tolerances.LEAN * area
     edge2 = np.maximum(np.maximum(edge2, np.einsum("ij,ij->i", b, b)), opposite[face])
     return np.where(good, area / edge2, -1)
 

@@ -1,7 +1,10 @@
-"""Where linear functions on [0, 1] are positive."""
+"""The interval [0, 1]: where linear functions are positive, and quadrature."""
+
+import functools
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 
 def positive_part(ends):
@@ -17,3 +20,10 @@ def positive_part(ends):
         start = dr.select(at_0 < 0, dr.select(at_1 < 0, 2, dr.maximum(start, zero)), start)
         end = dr.select((at_1 < 0) & (at_0 >= 0), dr.minimum(end, zero), end)
     return start, end
+
+
+@functools.cache
+def gauss_legendre(points):
+    """Gauss-Legendre nodes and weights on [0, 1] as Python floats."""
+    x, w = np.polynomial.legendre.leggauss(points)
+    return [float(v) for v in 0.5 * (x + 1)], [float(v) for v in 0.5 * w]

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from .. import tolerances
+
 
 def weld(vertices, faces):
     """Faces with vertices at the same position made one: (F, 3) indices of unique positions.
@@ -76,11 +78,11 @@ def touches(corners, point):
     a, b, c = (corners[:, k] - point for k in range(3))
     size = np.ptp(corners.reshape(-1, 3), axis=0).max()
     angle, lengths = _solid_angles(a, b, c)
-    if (np.min(lengths) < 1e-6 * size) or (np.abs(angle) > 2 * np.pi - 1e-4).any():
+    if np.min(lengths) < tolerances.AT_CORNER * size or (np.abs(angle) > 2 * np.pi - tolerances.AT_FACE).any():
         return True
     for x, y, lx, ly in ((a, b, 0, 1), (b, c, 1, 2), (c, a, 2, 0)):
         together = lengths[lx] * lengths[ly]
-        if (together + np.einsum("fi,fi->f", x, y) < 1e-10 * together).any():
+        if (together + np.einsum("fi,fi->f", x, y) < tolerances.AT_EDGE * together).any():
             return True
     return False
 
@@ -102,8 +104,7 @@ def is_convex(corners, normals, faces, twin):
     face, opposite = np.arange(3 * len(faces)) // 3, np.roll(corners, -2, axis=1).reshape(-1, 3)
     over = opposite[twin] - corners.reshape(-1, 3)
     height = np.einsum("ei,ei->e", normals[face], over)
-    # float32 positions are good to 6e-8 of the size.
-    locally = (height < 1e-6 * size).all() and (np.linalg.norm(normals, axis=1) > 0.5).all()
+    locally = (height < tolerances.CONVEX * size).all() and (np.linalg.norm(normals, axis=1) > 0.5).all()
     return bool(locally and len(np.unique(faces)) - len(twin) // 2 + len(faces) == 2)
 
 

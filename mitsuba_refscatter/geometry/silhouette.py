@@ -13,14 +13,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes
+from .. import lanes, tolerances
 from .interval import positive_part
-
-WIDEST = 0.5
-"""Smallest cosine to the view's axis for which the light's view is used: a field of 120 degrees."""
-
-MOST_STEPS = 4_000_000
-"""Points at which edges are put on the raster, at most: bounds time and memory."""
 
 
 def silhouette_edges(corners, normals, twin, light, distant):
@@ -46,7 +40,8 @@ def uniform(corners, edges, light, distant):
     points, depth = _project(corners.reshape(-1, 3) - origin, view, distant)
     points = points.reshape(-1, 3, 2)
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
-    levels = int(np.clip(np.ceil(np.log2(8 * np.sqrt(len(corners)))), 6, 11))
+    levels = np.ceil(np.log2(tolerances.RASTER_CELLS * np.sqrt(len(corners))))
+    levels = int(np.clip(levels, *tolerances.RASTER_LEVELS))
     scale = ((1 << levels) - 4) / np.maximum(high - low, 1e-30)
     nearest = _raster(
         (edge_points.reshape(-1, 2, 2) - low) * scale + 2, edge_depth.reshape(-1, 2).min(axis=1), 1 << levels
@@ -64,7 +59,7 @@ def _view(corners, light, distant):
     to = to / np.linalg.norm(to, axis=1, keepdims=True)
     axis = to.mean(axis=0)
     length = np.linalg.norm(axis)
-    if length < WIDEST or (to @ (axis / length)).min() < WIDEST:
+    if length < tolerances.WIDEST_VIEW or (to @ (axis / length)).min() < tolerances.WIDEST_VIEW:
         return None
     axis /= length
     side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
@@ -82,7 +77,7 @@ def _raster(edges, depth, cells):
     """Smallest depth of the edges (E, 2, 2; in cell units) that pass each cell, infinite where none does; None
     if that takes too many steps. Exact to one cell."""
     steps = np.ceil(2 * np.abs(edges[:, 1] - edges[:, 0]).max(axis=1, initial=0)) + 2
-    if steps.sum() > MOST_STEPS:
+    if steps.sum() > tolerances.RASTER_STEPS:
         return None
     steps = steps.astype(int)
     edge = np.repeat(np.arange(len(edges)), steps)
@@ -90,8 +85,7 @@ def _raster(edges, depth, cells):
     cell = np.floor(edges[edge, 0] + k[:, None] * (edges[edge, 1] - edges[edge, 0])).astype(int)
     inside = ((cell >= 0) & (cell < cells)).all(axis=1)
     nearest = np.full((cells, cells), np.inf, dtype=np.float32)
-    # float32 may round up: a little nearer is safe.
-    depth = depth - 1e-6 * np.abs(depth)
+    depth = depth - tolerances.RASTER_ROUNDING * np.abs(depth)
     np.minimum.at(nearest, tuple(cell[inside].T), depth[edge[inside]].astype(np.float32))
     return nearest
 
@@ -126,7 +120,7 @@ def covered(corners, normal, edges, skin, direction):
 
     def test(j, found):
         a, b = (dr.gather(mi.Vector3f, flat, 2 * j + k) for k in range(2))
-        slack = 1e-5 * dr.maximum(dr.norm(a), dr.norm(b))  # float32: better a little wider
+        slack = tolerances.SILHOUETTE_SLACK * dr.maximum(dr.norm(a), dr.norm(b))
         ends = [(dr.dot(n, a) - at + slack, dr.dot(n, b) - at + slack) for n, at in sides]
         ends.append((dr.dot(normal, a - corners[0]) - skin, dr.dot(normal, b - corners[0]) - skin))
         low, high = positive_part(ends)

@@ -24,7 +24,7 @@ def suitable(turns, error, measure):
     for _ in range(tolerances.COARSE_TRIES):
         finer = min(at + coarse.QUARTER, len(turns) - 1)
         found = measure(at, finer) / (1 - (turns[finer] / turns[at]) ** 2)
-        wanted = turns[at] * np.sqrt(error / max(found, 1e-6))
+        wanted = turns[at] * np.sqrt(error / max(found, tolerances.COARSE_LEAST))
         last, at = at, int(np.searchsorted(-np.array(turns[:-1]), -wanted))
         if at == len(turns) - 1 or abs(at - last) <= coarse.QUARTER // 2:
             break

@@ -4,17 +4,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes, options, wavefront
+from .. import lanes, options, tolerances, wavefront
 from ..estimators import photons
 from ..scene import media
 from .lit import Prepared, scatter, stretch_of
 from .refscatter import RefscatterIntegrator, seed_from
-
-RADIUS = 0.01
-"""Default radius relative to a body's size."""
-
-PILOTS = 16
-"""Light points by which photons of a light that is no point or direction are aimed."""
 
 
 class PhotonIntegrator(RefscatterIntegrator):
@@ -97,7 +91,7 @@ class PhotonIntegrator(RefscatterIntegrator):
             return None
         found, lengths = photons.join([x[0] for x in shot]), lanes.concat([x[1] for x in shot])
         sigma_t = region.coefficients(media.visible(), found.omega)[1]
-        radius = photons.radius_of(opt.radius or RADIUS * body.size, number, opt.alpha, opt.mode)
+        radius = photons.radius_of(opt.radius or tolerances.PHOTON_RADIUS * body.size, number, opt.alpha, opt.mode)
         return photons.store(found, lengths, sigma_t, opt.mode == "beams", radius, body, _sampler(len(lengths), rng))
 
 
@@ -105,7 +99,7 @@ def _target(prepared, region, body, light):
     """``photons.Target`` that a boundary is to a light."""
     rng, points = np.random.default_rng(0), [light.exact]
     if light.exact is None:
-        points = [light.draw(dr.opaque(mi.Point2f, list(rng.random(2))), 1.0) for _ in range(PILOTS)]
+        points = [light.draw(dr.opaque(mi.Point2f, list(rng.random(2))), 1.0) for _ in range(tolerances.PHOTON_PILOTS)]
     shadows = prepared.shadows(body, points[0])
     pilots = [
         (prepared.lighting(body, region, p, shadows, media.visible()), p.intensity(media.visible())) for p in points

@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 
 from .. import lanes, tolerances
-from ..scene import NONE, media, name_shape, shape_number
+from ..scene import NONE, media
 from .emission import offset, photons, points
-from .walk import FURTHER, INSIDE, REFLECTED, REFRACTED, SURFACES, follow, look
+from .walk import FURTHER, INSIDE, REFLECTED, REFRACTED, SURFACES, follow, look, meet
 
 SAYS = {
     REFRACTED: "it passes through {culprit} first, and light is followed through one refraction only",
@@ -35,14 +35,14 @@ def in_media(scene):
     if not regions or not scene.lights:
         return []
     left, by_shape = follow(scene, photons(scene))
-    names, out = {shape_number(shape): name_shape(shape) for shape in scene.mi_scene.shapes()}, []
+    names, out = scene.names(), []
     for region in regions:
         total = left[:, region.index].sum()
         for kind, sentence in SAYS.items():
             share = left[kind, region.index] / max(total, 1e-30)
             if share > (tolerances.MISSING_BEHIND if kind == REFRACTED else tolerances.MISSING):
                 reason = sentence.format(culprit=names.get(int(np.argmax(by_shape[kind, region.index])), "a boundary"))
-                out.append(IN_MEDIA.format(share=_about(share), region=_name(region), reason=reason))
+                out.append(IN_MEDIA.format(share=_about(share), region=region.label, reason=reason))
     return out
 
 
@@ -54,15 +54,15 @@ def on_surfaces(scene, ends):
     some = [legs.gather(_evenly(len(legs), -(-len(legs) * tolerances.MISSING_PHOTONS // total))) for legs in ends]
     legs = type(ends[0])(*(lanes.concat(x) for x in zip(*(vars(part).values() for part in some))))
     count = len(legs)
-    si = scene.mi_scene.ray_intersect(mi.Ray3f(legs.o, legs.d), mi.RayFlags.Minimal, False)
-    n = dr.select(dr.dot(si.n, legs.d) > 0, -si.n, si.n)
-    start, seen, wrong = si.p + n * offset(si.p), 0.0, np.zeros(len(scene.regions) + 1)
+    met = meet(scene, legs.o, legs.d, True)
+    P, n = legs.o + met.t * legs.d, dr.select(dr.dot(met.n, legs.d) > 0, -met.n, met.n)
+    start, seen, wrong = P + n * offset(P), 0.0, np.zeros(len(scene.regions) + 1)
     for light, point in points(scene, count, mi.PCG32(size=count)):
-        omega_L, d_L = point.source(mi.Float(1), mi.Point3f(0)).seen_from(si.p)
+        omega_L, d_L = point.source(mi.Float(1), mi.Point3f(0)).seen_from(P)
         arriving = legs.weight * point.intensity(media.visible()) * dr.maximum(dr.dot(n, omega_L), 0) / dr.square(d_L)
         emission = point.emission(mi.Point3f(0), media.visible())
-        arriving = dr.mean(mi.Spectrum(arriving if emission is None else arriving * emission(si.p, omega_L, d_L)))
-        lit = si.is_valid() & dr.isfinite(arriving) & (arriving > 0)
+        arriving = dr.mean(mi.Spectrum(arriving if emission is None else arriving * emission(P, omega_L, d_L)))
+        lit = met.hit & dr.isfinite(arriving) & (arriving > 0)
         distance = tolerances.ENDLESS if point.distant else d_L * (1 - tolerances.SHADOW_END)
         view = look(scene, start, omega_L, distance, legs.region, lit)
         # The nested integrator connects a point through nothing at all, and meets larger lights by chance behind anything.
@@ -76,7 +76,7 @@ def on_surfaces(scene, ends):
     share = wrong.sum() / max(seen, 1e-30)
     if share <= tolerances.MISSING_ON_SURFACES:
         return []
-    return [ON_SURFACES.format(share=_about(share), region=_name(scene.regions[int(np.argmax(wrong))]))]
+    return [ON_SURFACES.format(share=_about(share), region=scene.regions[int(np.argmax(wrong))].label)]
 
 
 def _evenly(n, count):
@@ -84,12 +84,5 @@ def _evenly(n, count):
     return lanes.array(mi.UInt32, (np.arange(min(n, count)) + 0.5) * n / min(n, count))
 
 
-def _name(region):
-    """How a region is called: by its medium's id if it has one, and by its body."""
-    name = region.medium.id()
-    known = name and not name.startswith("_")
-    return f'the medium "{name}"' if known else f"the medium of {region.name}"
-
-
 def _about(share):
-    return f"about {share:.0%}" if share > 0.015 else "about 1%"
+    return f"about {max(1, round(100 * share))}%"

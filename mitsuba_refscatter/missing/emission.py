@@ -73,9 +73,7 @@ class _Targets:
     """Spheres around the bodies and one around the scene, to which photons are sent, all as likely."""
 
     def __init__(self, scene):
-        whole = scene.mi_scene.bbox()
-        boxes = [body.box for body in scene.bodies]
-        boxes += [[np.array(x).ravel() for x in (whole.min, whole.max)]] if whole.valid() else []
+        boxes = [body.box for body in scene.bodies] + [box for box in [scene.box()] if box is not None]
         spheres = [[*(0.5 * (low + high)), 0.5 * np.linalg.norm(high - low)] for low, high in boxes] or [[0, 0, 0, 1]]
         self.count, self.spheres = dr.opaque(mi.UInt32, len(spheres)), lanes.array(mi.Float, np.ravel(spheres))
         self.far = dr.opaque(mi.Float, 4 * float(np.abs(spheres).max()))

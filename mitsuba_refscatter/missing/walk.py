@@ -8,13 +8,12 @@ import numpy as np
 
 from .. import lanes, optics, tolerances
 from ..geometry import triangle
-from ..scene import NONE, media, shape_number
+from ..scene import NONE, media
 
-COMPUTED, REFRACTED, INSIDE, REFLECTED, SURFACES, FURTHER = range(6)
+KINDS = range(6)
+COMPUTED, REFRACTED, INSIDE, REFLECTED, SURFACES, FURTHER = KINDS
 """What happened to light before it scatters: nothing, or one refraction; several; a reflection inside a body; one by a mirror, a thin
 sheet or the outside of a body; one by a surface; another scattering. The last two hide the others."""
-
-KINDS = 6
 
 
 @dataclass
@@ -81,23 +80,6 @@ def _coefficients(region):
     return [np.array([np.ravel(x)[0] for x in spectrum]) for spectrum in found]
 
 
-def albedos(scene):
-    """A table by the number of a shape: what share of light a surface reflects, in the mean over itself and the wavelengths."""
-    known, out = {}, np.zeros(1 + max(map(shape_number, scene.mi_scene.shapes()), default=0))
-    n = tolerances.MISSING_TEXELS
-    si = dr.zeros(mi.SurfaceInteraction3f, n**2)
-    si.uv, si.wi = mi.Point2f(dr.meshgrid(*2 * [(dr.arange(mi.Float, n) + 0.5) / n])), mi.Vector3f(0, 0, 1)
-    si.n, si.wavelengths = mi.Normal3f(0, 0, 1), media.visible()
-    si.sh_frame = mi.Frame3f(si.n)
-    for shape in scene.others:
-        bsdf = shape.bsdf()
-        if bsdf is not None and id(bsdf) not in known:
-            seen = np.nan_to_num(np.array(dr.mean(bsdf.eval_diffuse_reflectance(si))))
-            known[id(bsdf)] = float(np.clip(seen, 0, 1).mean())
-        out[shape_number(shape)] = known.get(id(bsdf), tolerances.MISSING_ALBEDO)
-    return lanes.array(mi.Float, out)
-
-
 @dataclass
 class Walk:
     """The state of photons. ``kind``: of COMPUTED ...; ``refractions``: their number; ``first``: number of the shape of the first of them;
@@ -117,11 +99,11 @@ class Walk:
 
 
 def follow(scene, photons):
-    """What photons leave in media: by kind and region (KINDS, R + 1), and by kind, region and shape that is the reason (KINDS, R + 1, S)."""
+    """What photons leave in media: by kind and region (kinds, R + 1), and by kind, region and shape that is the reason (kinds, R + 1, S)."""
     n, regions = dr.width(photons.d), len(scene.regions) + 1
-    albedo, tables = albedos(scene), Tables(scene)
+    albedo, tables = scene.albedos(), Tables(scene)
     shapes = dr.width(albedo)
-    left = dr.zeros(mi.Float, lanes.room(KINDS * regions * (shapes + 1)))
+    left = dr.zeros(mi.Float, lanes.room(len(KINDS) * regions * (shapes + 1)))
     size = dr.opaque(mi.UInt32, regions), dr.opaque(mi.UInt32, shapes + 1)
 
     def leave(state, index, value):
@@ -134,7 +116,7 @@ def follow(scene, photons):
     dr.while_loop((state,), lambda state: state.active, lambda state: (_leg(state, scene, tables, albedo, leave),),
                   label="missing", mode="symbolic")  # fmt: skip
     dr.eval(left)
-    found = np.array(left)[: KINDS * regions * (shapes + 1)].reshape(KINDS, regions, shapes + 1)
+    found = np.array(left)[: len(KINDS) * regions * (shapes + 1)].reshape(len(KINDS), regions, shapes + 1)
     return found.sum(axis=2), found[..., :-1]
 
 

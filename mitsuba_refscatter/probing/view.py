@@ -19,6 +19,9 @@ AROUND = 2.0
 OUTSIDE = 0.6
 """How far rays to the camera and to lights are drawn, relative to the diagonal of the box of what is shown of bodies."""
 
+AT_LIGHT = 1e-3
+"""How near to a light a path that is drawn so far ends at it, relative to that length."""
+
 
 def write(probe, path):
     """Writes a ``Probe`` as HTML: drag to turn, roll to zoom, click in the legend to hide."""
@@ -135,7 +138,7 @@ def _light_paths(probe, reach):
     to_light = np.where(distant, reach * where, where - P)
     to_light *= np.minimum(1, reach / np.linalg.norm(to_light, axis=1, keepdims=True))
     yield _line(f"{len(chosen)} light paths", np.stack([P + to_light, P, V], axis=1), "#e8a200", 2)
-    near = ~distant[:, 0] & (np.linalg.norm(P + to_light - where, axis=1) <= 1e-3 * reach)
+    near = ~distant[:, 0] & (np.linalg.norm(P + to_light - where, axis=1) <= AT_LIGHT * reach)
     if near.any():
         lights = np.unique(where[near], axis=0).astype(np.float32)
         yield {

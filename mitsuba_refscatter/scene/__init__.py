@@ -1,4 +1,7 @@
-"""The only reader of ``mi.Scene``: bodies, regions, media and lights as plain records, and what is refused."""
+"""What a ``mi.Scene`` holds as plain records: bodies, regions, media and lights; and what is refused.
+
+Nothing else of the renderer reads it. Rays are traced against it elsewhere, too: ``camera``, ``visibility``, ``air`` and ``probing`` do so.
+"""
 
 from dataclasses import dataclass
 
@@ -16,6 +19,7 @@ from .bodies import NONE
 from .errors import SceneError, name_shape
 from .regions import Regions
 from .support import REFUSED, refusal
+from .surfaces import albedos, box, names, shape_number
 
 ONCE = 1 << 16
 """What a boundary counts for that light may go straight through only if it is the only such one: there are no light paths
@@ -104,6 +108,18 @@ class Scene:
                 return True
             inner = around
         return False
+
+    def names(self):
+        """Names of all shapes by their number."""
+        return names(self.mi_scene)
+
+    def box(self):
+        """Box around all shapes (low, high), or None where there are none."""
+        return box(self.mi_scene)
+
+    def albedos(self):
+        """Shares of light that plain surfaces reflect, by the number of a shape (``surfaces.albedos``)."""
+        return albedos(self.mi_scene, self.others)
 
     def mirror_extent(self, shape):
         """The largest coordinate of each shape pointer that is a mirror; 0 where it is none."""
@@ -202,11 +218,6 @@ def _extent(shape):
     return max(float(np.abs(np.array(corner)).max()) for corner in (box.min, box.max))
 
 
-def shape_number(shape):
-    """Mitsuba's number of a shape: what shape pointers are in kernels."""
-    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
-
-
 def _is_mirror(shape):
     """Whether a shape does nothing but reflect in one direction."""
     bsdf, flag = shape.bsdf(), mi.BSDFFlags
@@ -282,5 +293,4 @@ def refuse_gradients(scene):
 
 __all__ = [
     "NONE", "ONCE", "REFUSED", "Scene", "SceneError", "holds", "name_shape", "read", "refusal", "refuse_gradients", "region_of_camera",
-    "shape_number",
 ]  # fmt: skip

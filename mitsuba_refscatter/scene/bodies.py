@@ -9,15 +9,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .. import tolerances
 from ..geometry import mesh as mesh_facts
 from ..geometry import triangle
 from ..kept import fingerprint
 from ..lanes import NONE  # no body; the region that has no medium and is no body's inside
 from .errors import SceneError, name_shape
 from .support import BOUNDARIES, PERTURBED, refusal
-
-FLUSH = 1e-4
-"""Share of its distance from the middle by which a corner is moved inwards before it is asked what encloses it."""
 
 
 @dataclass(eq=False)
@@ -90,7 +88,7 @@ class Body:
     def reaches(self, reach):
         """The same where light goes on for the distance ``reach`` behind it."""
         low, high = (np.array(x) for x in (self.box_low, self.box_high))
-        size = min(self.size + reach, 4 * self.size)
+        size = min(self.size + reach, tolerances.REACH_SIZE * self.size)
         return replace(self, box_low=(low - reach).tolist(), box_high=(high + reach).tolist(), size=size)
 
     def flipped(self, first_record):
@@ -209,7 +207,7 @@ def _outward(corners, normals, part, name):
     for k in range(len(signs)):
         piece = corners[part == k]
         volume = mesh_facts.volume(piece)
-        if abs(volume) < 1e-9 * np.ptp(piece.reshape(-1, 3), axis=0).max() ** 3:
+        if abs(volume) < tolerances.NO_VOLUME * np.ptp(piece.reshape(-1, 3), axis=0).max() ** 3:
             raise SceneError(f"{name} has a part that encloses no volume: remove it or mend the mesh")
         signs[k] = np.sign(volume)
     around = _around(corners, part, name)
@@ -240,17 +238,18 @@ def _around(corners, part, name):
     return out
 
 
-def enclosed_share(outer, inner, most=64):
-    """Share of (at most ``most``) corners of the triangles ``inner`` (F, 3, 3) that the closed mesh ``outer`` encloses.
+def enclosed_share(outer, inner):
+    """Share of (some) corners of the triangles ``inner`` (F, 3, 3) that the closed mesh ``outer`` encloses.
 
     The corners are moved a little towards their middle: meshes that touch do not enclose each other's corners.
     """
     low, high = outer.min(axis=(0, 1)), outer.max(axis=(0, 1))
     points = inner.reshape(-1, 3)
-    points = points + FLUSH * (0.5 * (points.min(axis=0) + points.max(axis=0)) - points)
+    points = points + tolerances.FLUSH * (0.5 * (points.min(axis=0) + points.max(axis=0)) - points)
     within = ((points >= low) & (points <= high)).all(axis=1)
     if not within.any():
         return 0.0
+    most = tolerances.ENCLOSED_CORNERS
     if within.all():
         tested = points[:: max(1, len(points) // most)]
         return float(np.mean([mesh_facts.encloses(outer, p) for p in tested]))
@@ -274,6 +273,6 @@ def _read_mesh(shape, name):
         return vertices, faces, None
     normals = shape.vertex_normal(every).numpy().T.astype(np.float64)
     length = np.linalg.norm(normals, axis=1)
-    if not (length[used] > 1e-6).all():  # also False for NaN
+    if not (length[used] > tolerances.VERTEX_NORMAL).all():  # also False for NaN
         raise SceneError(f"{name} has vertex normals that are zero or not finite: recompute them, or set face_normals")
-    return vertices, faces, normals / np.maximum(length, 1e-6)[:, None]
+    return vertices, faces, normals / np.maximum(length, tolerances.VERTEX_NORMAL)[:, None]

@@ -11,34 +11,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes
+from .. import lanes, tolerances
 from ..geometry import decimation, triangle
 from ..geometry import mesh as mesh_facts
-
-FEWEST = 1000
-"""Triangles below which a body is taken as it is."""
-
-WORTH = 0.2
-"""Share of the triangles that a coarse body may have at most: a patch costs several times what a triangle does."""
 
 QUARTER = 4
 """Levels from one to that with a quarter of its triangles."""
 
-TURNS = 0.85 * 0.5 ** (np.arange(40) / QUARTER)
+TURNS = tolerances.COARSEST_TURN * 0.5 ** (np.arange(tolerances.COARSE_LEVELS) / QUARTER)
 """Largest differences between normals at the ends of a coarse edge, from the coarsest body on."""
-
-FIRST_TURN = 2.0
-"""The least of them, relative to that of the fine edges: less is not worth it."""
-
-LONGEST = 0.125
-"""Longest coarse edge relative to the body's size."""
-
-FAR = 1.0
-"""How far from a coarse edge the boundary is looked for, relative to the edge and half the turn along it: four times as far as
-a circle would be."""
-
-SLIP = 1e-3
-"""How far aside of where it slipped through the boundary a ray is sent, relative to the edge."""
 
 
 @dataclass
@@ -88,14 +69,14 @@ def _bulge(scene, body, P, n):
     mean normal; 0 where it isn't met there; and whether it is."""
     middle, axis = P.mean(axis=1), n.mean(axis=1)
     size = np.linalg.norm(P[:, 0] - P[:, 1], axis=1)
-    reach = FAR * size * np.linalg.norm(n - axis[:, None], axis=2).max(axis=1) + SLIP * size
+    reach = tolerances.BULGE * size * np.linalg.norm(n - axis[:, None], axis=2).max(axis=1) + tolerances.SLIP * size
     direction = -axis / np.linalg.norm(axis, axis=1, keepdims=True)
     start = middle - reach[:, None] * direction
     at, normal, found = _meet(scene, body, start, direction, 2 * reach)
     missed = np.flatnonzero(~found)
     if len(missed) > 0:  # rays slip through edges
         along = P[missed, 0] - middle[missed]
-        aside = start[missed] + SLIP * (along + np.cross(along, direction[missed]))
+        aside = start[missed] + tolerances.SLIP * (along + np.cross(along, direction[missed]))
         at[missed], normal[missed], found[missed] = _meet(scene, body, aside, direction[missed], 2 * reach[missed])
     return *(np.where(found[:, None], x, 0.0) for x in (at - middle, normal - axis)), found
 
@@ -122,8 +103,8 @@ def levels(body, least_turn, most_turn):
     turn = np.linalg.norm(body.corner_normals[:, 0] - body.corner_normals[:, 1], axis=1)
     least = float(np.median(turn))
     own = [Level(least, body.triangle_count)]
-    turns = [turn for turn in TURNS[::-1] if max(FIRST_TURN * least, least_turn) <= turn <= most_turn]
-    if body.faces is None or body.triangle_count < FEWEST or not turns:
+    turns = [turn for turn in TURNS[::-1] if max(tolerances.FIRST_TURN * least, least_turn) <= turn <= most_turn]
+    if body.faces is None or body.triangle_count < tolerances.COARSE_FEWEST or not turns:
         return own
     winding = np.cross(body.corners[:, 1] - body.corners[:, 0], body.corners[:, 2] - body.corners[:, 0])
     inwards = np.einsum("fi,fi->f", winding, body.normals) < 0
@@ -134,10 +115,11 @@ def levels(body, least_turn, most_turn):
     vertices, normals = (np.zeros((faces.max() + 1, 3)) for _ in range(2))
     vertices[body.faces], normals[body.faces] = body.corners, body.corner_normals
     welded = mesh_facts.weld(vertices, np.arange(len(vertices)))
-    for turn, coarse in zip(turns, decimation.coarser(vertices, normals, faces, twin, turns, LONGEST * body.size)):
+    longest = tolerances.COARSE_LONGEST * body.size
+    for turn, coarse in zip(turns, decimation.coarser(vertices, normals, faces, twin, turns, longest)):
         twin = mesh_facts.twins(welded[coarse])
         if twin is None:
             break
-        if len(coarse) <= WORTH * body.triangle_count:
+        if len(coarse) <= tolerances.COARSE_WORTH * body.triangle_count:
             own.append(Level(turn, len(coarse), coarse, twin, vertices, normals))
     return own[::-1]

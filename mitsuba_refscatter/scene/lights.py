@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes
+from .. import lanes, tolerances
 from ..geometry import mesh as mesh_facts
 from ..optics import Source
 from .errors import SceneError, describe, name_shape
@@ -191,7 +191,7 @@ def _share_out(drawn, bodies):
     if not drawn:
         return
     rng = np.random.default_rng(0)
-    u = lanes.array(mi.Float, rng.random(256)), lanes.array(mi.Float, rng.random(256))
+    u = [lanes.array(mi.Float, rng.random(tolerances.LIGHT_NUMBERS)) for _ in range(2)]
     brought = np.zeros(len(drawn))
     for i, light in enumerate(drawn):
         for body in bodies or [None]:
@@ -201,7 +201,8 @@ def _share_out(drawn, bodies):
             brought[i] += np.nan_to_num(np.array(value), posinf=0).mean()
     even = np.full(len(drawn), 1 / len(drawn))
     share = brought / brought.sum() if brought.sum() > 0 else even
-    for light, x in zip(drawn, 0.9 * share + 0.1 * even):
+    share = (1 - tolerances.EVEN_LIGHT) * share + tolerances.EVEN_LIGHT * even
+    for light, x in zip(drawn, share):
         light.fluence = float(x)
 
 

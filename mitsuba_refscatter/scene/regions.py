@@ -34,6 +34,12 @@ class Region:
     admits: bool = False
     boundaries: list = field(default_factory=list)
 
+    @property
+    def label(self):
+        """How its medium is called: by its id if it has one, else by what it fills."""
+        name = self.medium.id()
+        return f'the medium "{name}"' if name and not name.startswith("_") else f"the medium of {self.name}"
+
     def coefficients(self, wavelengths, d):
         """``media.coefficients`` along d."""
         return media.coefficients(self.medium, wavelengths, d if self.directed else None)

@@ -11,58 +11,29 @@ from dataclasses import dataclass
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes
+from .. import lanes, tolerances
 from ..geometry.geodesic import geodesic_sphere
 from .errors import SceneError, name_shape
 from .support import refusal
 
-SHARE = 1 / 3
-"""Part of the image's tolerated error that replacing curved surfaces by triangles may cause."""
-
-EDGE_ERROR = 2.0
-"""Relative error of the image per square of the triangles' edges, these in radii of the sphere. Measured: 0.3 to 0.8,
-up to 2.4 for slender ellipsoids lit along their axes, 0.2 for tubes; 5 where the light is seen through a ball that
-scatters strongly forward (g = 0.9)."""
-
 FREQUENCY_EDGE = 1.2046
 """Mean edge of the unit geodesic sphere times its frequency: that of 20 f^2 equilateral triangles on 4 pi."""
-
-MOST_FREQUENCY = 128
-"""Largest frequency of a sphere: 327680 triangles, whose error is 1e-4 or less."""
-
-MOST_SEGMENTS = 1024
-"""Most segments of a circle: rounding to float32 turns the triangles between them by up to 1e-5."""
-
-MOST_TRIANGLES = 20 * MOST_FREQUENCY**2
-"""Most triangles of a tube."""
-
-STRETCH = 4.0
-"""Length of a tube's triangles relative to their width: nothing bends along the axis, but slivers are hard to cull."""
-
-PLACE = 1e-3
-"""Deviation, in radii, of Mitsuba's surface from that of ``to_world`` that is rounding and not another surface."""
-
-ROUNDING = 4e-6
-"""Deviation relative to the coordinates that is rounding in float32, several times over."""
-
-FLAT = 1e-9
-"""Determinant of a transform relative to the product of its columns' lengths below which it has no inverse."""
 
 
 def edge(tolerance):
     """Longest mean edge of triangles, in radii, for a relative error ``tolerance`` of the image."""
-    return (SHARE * tolerance / EDGE_ERROR) ** 0.5
+    return (tolerances.TESSELLATION_SHARE * tolerance / tolerances.TESSELLATION_ERROR) ** 0.5
 
 
 def frequency(tolerance):
-    """Of the geodesic sphere, 4 to ``MOST_FREQUENCY``: with 20 times its square triangles."""
-    return int(np.clip(np.ceil(FREQUENCY_EDGE / max(edge(tolerance), 1e-6)), 4, MOST_FREQUENCY))
+    """Of the geodesic sphere, which has 20 times its square triangles."""
+    return int(np.clip(np.ceil(FREQUENCY_EDGE / max(edge(tolerance), 1e-30)), *tolerances.FREQUENCIES))
 
 
 def segments(tolerance):
-    """Straight edges of a whole circle, 16 to ``MOST_SEGMENTS``: the power of two that comes nearest to ``edge``, so
-    that the rims of tubes and disks have common vertices."""
-    return int(2 ** np.round(np.log2(np.clip(2 * np.pi / max(edge(tolerance), 1e-6), 16, MOST_SEGMENTS))))
+    """Straight edges of a whole circle: the power of two that comes nearest to ``edge``, so that the rims of tubes and
+    disks have common vertices."""
+    return int(2 ** np.round(np.log2(np.clip(2 * np.pi / max(edge(tolerance), 1e-30), *tolerances.SEGMENTS))))
 
 
 @dataclass
@@ -188,7 +159,7 @@ def _matrix(shape):
     """``to_world`` (4, 4), float64."""
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
     columns = np.linalg.norm(matrix[:3, :3], axis=0)
-    if not abs(np.linalg.det(matrix[:3, :3])) > FLAT * columns.prod():  # also for NaN
+    if not abs(np.linalg.det(matrix[:3, :3])) > tolerances.FLATTENED * columns.prod():  # also for NaN
         raise SceneError(f"{name_shape(shape)} has a to_world that flattens it or is not finite: correct it")
     return matrix
 
@@ -273,9 +244,10 @@ def _faces_out(shape, matrix):
     # Not shape.ray_intersect(ray): Mitsuba 3.9.1 then fails while an instance of a group of several shapes exists.
     si = shape.compute_surface_interaction(ray, shape.ray_intersect_preliminary(ray))
     away = np.linalg.norm(np.array(si.p).T - probe.vertices, axis=1)
-    here = np.array(si.is_valid()) & (away < PLACE * radius + ROUNDING * np.abs(probe.vertices).max())
+    room = tolerances.SURFACE_PLACE * radius + tolerances.SURFACE_ROUNDING * np.abs(probe.vertices).max()
+    here = np.array(si.is_valid()) & (away < room)
     cosine = np.einsum("ij,ij->i", np.array(si.n).T, probe.normals)
-    if not (here.all() and (np.abs(cosine) > 0.99).all() and np.ptp(np.sign(cosine)) == 0):
+    if not (here.all() and (np.abs(cosine) > tolerances.SURFACE_NORMAL).all() and np.ptp(np.sign(cosine)) == 0):
         raise refusal("to_world", name_shape(shape), shape=shape.class_name().lower())
     return bool(cosine[0] > 0)
 
@@ -299,7 +271,8 @@ def _circle(n):
 
 def _tube(n, length):
     """Unit tube without ends, 0 <= z <= 1, of n segments. ``length``: of the final tube, in radii."""
-    m = int(np.clip(np.ceil(length * n / (2 * np.pi * STRETCH)), 1, MOST_TRIANGLES // (2 * n)))
+    m = np.ceil(length * n / (2 * np.pi * tolerances.TUBE_STRETCH))
+    m = int(np.clip(m, 1, tolerances.TUBE_TRIANGLES // (2 * n)))
     vertices = np.empty((m + 1, n, 3))
     vertices[..., :2], vertices[..., 2] = _circle(n), np.arange(m + 1)[:, None] / m
     vertices = vertices.reshape(-1, 3)

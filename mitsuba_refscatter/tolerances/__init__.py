@@ -1,10 +1,12 @@
-"""Every threshold of the package: its name, unit and reason. No other module holds a bare epsilon, but divisors that
-must not be 0 (1e-30)."""
+"""Every threshold of what renders: its name, unit and reason. ``meshes`` has those of boundaries, ``tiers`` what the option
+``tolerance`` selects; all are names of this package.
 
-import functools
-from dataclasses import dataclass, replace
+No other module of the renderer holds one, but 1e-30 for a divisor that must not be 0. Options stand in ``options.py``. Tools (``compare``,
+``probing`` and others) name their own settings at the head of their modules. ``tests/test_tolerances.py`` holds this.
+"""
 
-import numpy as np
+from .meshes import *
+from .tiers import TIERS, Accuracy, accuracy
 
 SHADOW_OFFSET = 2e-6
 """Relative to the body's largest coordinate: how far shadow rays start off the surface. float32 rounds
@@ -19,6 +21,9 @@ CAMERA_OFFSET = 2e-6
 ASIDE = 2e-6
 """Angle by which a ray is turned that slipped through an edge of a mesh: a few times what float32 makes of its direction."""
 
+OVERLAP_RAYS = 16
+"""Most camera rays at a time whose middles are asked whether they lie in two bodies that overlap."""
+
 OPAQUE = 20.0
 """Optical depth behind which nothing is seen of a medium: 2e-9 of the light is left."""
 
@@ -27,10 +32,26 @@ AT_CAMERA = 1e-3
 small to be found: at 2e-3 all of it is found, at 2e-4 a quarter."""
 
 ENDLESS = 1e30
-"""Length of a camera leg that meets nothing."""
+"""Length that stands for no end: finite, so that its product with 0 is 0."""
 
 GRAZING = 1e-3
 """Smallest cosine to a boundary by which the offset behind it is divided."""
+
+LEAST_DIRECTION = 1e-20
+"""Size of a direction's component below which its inverse is that of this one: finite, also times a coordinate."""
+
+LEAST_COSINES = 1e-12
+"""Smallest sum of the cosines on both sides of a boundary by which Fresnel terms are divided: for eta = 1 they are 0/0 at grazing
+incidence, where nothing is reflected."""
+
+CRITICAL = 1e-6
+"""Smallest cosine behind a boundary by which its derivative is divided: it has a pole at the critical angle."""
+
+LEAST_LOBE = 1e-9
+"""Smallest 1 + g^2 - 2 g cos in Henyey and Greenstein's function: for g near 1 rounding may make it negative."""
+
+REACH_SIZE = 4.0
+"""Most length of light beams in a medium without end, relative to the body's size, for which they are subdivided."""
 
 ARRIVAL_OFFSET = 1e-5
 """Relative to the body's largest coordinate: how far towards the light its way is followed from a boundary."""
@@ -99,6 +120,44 @@ TURN = 0.3
 """Largest difference between the refracted directions at the corners of a beam, in radians: the cosines and the
 transmittance are then good to a few 1e-3."""
 
+EXCESS = 1e-6, 1e6
+"""Range to which an excess over the thresholds above is brought before its logarithm is taken: far beyond ``MAX_SUBDIVISION``, finite."""
+
+NEEDLE = 1e-6
+"""Square of the sine between a triangle's edges below which no linear model of its light beam is made: it would be rounding."""
+
+ALONG_WALL = 1e-6
+"""Least component of a light beam's direction towards a wall of its box that it is taken to reach: float32, several times over."""
+
+BROAD = 0.5
+"""Spread of a light beam, as the difference between unit directions, above which nothing is proven of how far it is free: the bound
+is divided by 1 - spread."""
+
+LEAVING = 1e-6
+"""Smallest cosine to a triangle by which the distance to its plane is divided."""
+
+STEEP = 1e-3
+"""Cosine to a triangle, besides twice the beam's bend, above which the distance to its plane is used."""
+
+TRUSTED = 0.999
+"""Share of the distance to a triangle's plane for which a beam is proven to be free: the rest is for rounding, where it is
+met at a small angle."""
+
+LIGHT_NUMBERS = 256
+"""Points of each light by which those that must be drawn are compared: to some 6 %, which suffices to share out samples."""
+
+EVEN_LIGHT = 0.1
+"""Share of the light samples that lights get evenly: what brings nothing to the bodies' centres may light other places."""
+
+PHOTON_PILOTS = 16
+"""Light points by which photons of a light that is no point or direction are aimed."""
+
+PHOTON_RADIUS = 0.01
+"""Default radius of photons relative to a body's size."""
+
+PHOTON_THIN = 1e-6
+"""Optical depth of a photon's way below which it is stored along it as if it were this: 1 - exp(-depth) has no digits there."""
+
 UNAIMED = 0.05
 """Share of the photons that go to a boundary evenly where the light on its triangles is known by samples alone."""
 
@@ -162,16 +221,6 @@ FOLD_STEPS = 4
 PIECES = 1 << 21
 """Most parts of beams that are looked at in one kernel."""
 
-TURN_ERROR = 0.02, 2.0
-"""The least and the largest error of an image by a coarse mesh, per square of the turn of its normals along edges, that are
-reckoned with."""
-
-COARSE_TRIES = 3
-"""Most meshes whose error is measured to find a suitable one."""
-
-COARSE_SEGMENTS = 2048
-"""Most camera segments on which it is measured."""
-
 SAMPLED = 3.0
 """How many times the deviation in a beam's middle its length is uncertain elsewhere."""
 
@@ -223,8 +272,17 @@ CHUNK_PAIRS = 1 << 20
 CHUNK_BUNDLES = 1 << 16
 """Most bundles of camera segments that are traversed in one kernel: keeps kernels well below a second."""
 
+FILLED = 0.8
+"""Share of that buffer that the next chunk is meant to fill: a fifth more pairs than expected still fit."""
+
+CHUNK_GROWTH = 4
+"""Factor by which chunks grow at least as long as they may: distant segments have other numbers of pairs."""
+
 FIRST_CHUNK = 1 << 10
 """Bundles in the first chunk, whose pairs tell how long the next may be."""
+
+COALESCED = 4
+"""Samples per pixel in a pass from which on Mitsuba puts those of a pixel into the film together."""
 
 PASS_SAMPLES = 1 << 18
 """Most camera samples in one pass of the film, and most sample points of camera segments at a time."""
@@ -240,116 +298,3 @@ then good to 1e-3."""
 
 PEAK = 0.05
 """How much of the largest radiance per unit length a maximum along a probed segment stands out by."""
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """What the one knob ``tolerance`` selects.
-
-    ``linear``: largest deviation of g from linear, relative to its range, on a beam that is solved whole; for a
-    camera segment that needs it a beam is subdivided. ``clip``: the same for t + s along a curve that begins or ends
-    inside a beam, relative to its change there.
-    ``bend``: largest deviation of a light beam from a linear one, relative to its width; beams that are
-    bent more are subdivided. ``points``: Gauss points along the curve in one beam, ``guest_points`` where shadows of other objects may end on it. ``newton``: Newton
-    steps per point, on patches 1 at least. ``weight``: camera legs with a smaller weight are dropped. ``interval_samples``, ``point_samples``: per
-    interval and per camera segment, of the estimators of these names; ``point_samples`` do not reach the tolerance, the noise is about 0.5 / sqrt(samples).
-    ``panels``, ``panel_points``: of the quadrature for light that is not refracted, and ``lobes``: error that it may make of a phase
-    function's integral; ``adapts``: whether intervals across which much is absorbed get more.
-    ``samples_visibility``: whether what is lit, and how far, is judged by samples where it can't be proven; ``coarse``: relative error
-    that a coarser mesh may make.
-    """
-
-    bend: float
-    points: int
-    guest_points: int
-    newton: int
-    weight: float
-    linear: float
-    clip: float
-    interval_samples: int
-    point_samples: int
-    panels: int
-    panel_points: int
-    lobes: float
-    adapts: bool = True
-    samples_visibility: bool = False
-    coarse: float = 0.0
-
-
-TIERS = {
-    0.1: Accuracy(
-        bend=0.5,
-        points=1,
-        guest_points=1,
-        newton=0,
-        weight=0.2,
-        linear=1.0,
-        clip=0.05,
-        interval_samples=1,
-        point_samples=8,
-        panels=6,
-        panel_points=2,
-        lobes=1e-2,
-        coarse=0.8,
-        samples_visibility=True,
-    ),
-    0.01: Accuracy(
-        bend=0.1,
-        points=1,
-        guest_points=1,
-        newton=1,
-        weight=0.1,
-        linear=0.25,
-        clip=0.01,
-        interval_samples=1,
-        point_samples=32,
-        panels=12,
-        panel_points=2,
-        lobes=1e-3,
-        coarse=0.7,
-        samples_visibility=True,
-    ),
-    0.001: Accuracy(
-        bend=0.05,
-        points=2,
-        guest_points=4,
-        newton=2,
-        weight=1e-2,
-        linear=0.1,
-        clip=0.001,
-        interval_samples=4,
-        point_samples=128,
-        panels=24,
-        panel_points=2,
-        lobes=1e-4,
-        coarse=0.7,
-    ),
-    0.0: Accuracy(
-        bend=0.02,
-        points=4,
-        guest_points=8,
-        newton=3,
-        weight=1e-2,
-        linear=0.05,
-        clip=1e-4,
-        interval_samples=16,
-        point_samples=512,
-        panels=48,
-        panel_points=3,
-        lobes=1e-5,
-    ),
-}
-"""What is safe from these tolerances on; ``weight`` and ``coarse`` are shares of the tolerance."""
-
-
-def accuracy(tolerance):
-    """The counts that are safe for a relative error ``tolerance`` of the image (0: exact to float32)."""
-    tier = next(tier for least, tier in TIERS.items() if tolerance >= least)
-    return replace(tier, weight=tier.weight * tolerance, coarse=tier.coarse * tolerance)
-
-
-@functools.cache
-def gauss(points):
-    """Gauss-Legendre nodes and weights on [0, 1] as Python floats."""
-    x, w = np.polynomial.legendre.leggauss(points)
-    return [float(v) for v in 0.5 * (x + 1)], [float(v) for v in 0.5 * w]

@@ -1,0 +1,43 @@
+"""What of a scene's surfaces is asked for estimates: their names, and what they reflect."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import lanes, tolerances
+from .errors import name_shape
+from .media import visible
+
+
+def shape_number(shape):
+    """Mitsuba's number of a shape: what shape pointers are in kernels."""
+    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
+
+
+def names(mi_scene):
+    """Names of all shapes by their number."""
+    return {shape_number(shape): name_shape(shape) for shape in mi_scene.shapes()}
+
+
+def box(mi_scene):
+    """Box around all shapes (low, high), or None where there are none."""
+    whole = mi_scene.bbox()
+    return tuple(np.array(x).ravel() for x in (whole.min, whole.max)) if whole.valid() else None
+
+
+def albedos(mi_scene, shapes):
+    """A table (Float) by the number of a shape: the share of light that ``shapes`` reflect, in the mean over themselves and the wavelengths;
+    0 for others."""
+    known, out = {}, np.zeros(1 + max(map(shape_number, mi_scene.shapes()), default=0))
+    n = tolerances.MISSING_TEXELS
+    si = dr.zeros(mi.SurfaceInteraction3f, n**2)
+    si.uv = mi.Point2f(dr.meshgrid(*2 * [(dr.arange(mi.Float, n) + 0.5) / n]))
+    si.wi, si.n, si.wavelengths = mi.Vector3f(0, 0, 1), mi.Normal3f(0, 0, 1), visible()
+    si.sh_frame = mi.Frame3f(si.n)
+    for shape in shapes:
+        bsdf = shape.bsdf()
+        if bsdf is not None and id(bsdf) not in known:
+            seen = np.nan_to_num(np.array(dr.mean(bsdf.eval_diffuse_reflectance(si))))
+            known[id(bsdf)] = float(np.clip(seen, 0, 1).mean())
+        out[shape_number(shape)] = known.get(id(bsdf), tolerances.MISSING_ALBEDO)
+    return lanes.array(mi.Float, out)
