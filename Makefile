@@ -38,7 +38,7 @@ format: $(VENV)/.test
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
 
-# Something that Dr.Jit can compile with: a usable LLVM or GPU.
+# Something that Dr.Jit can compile with: a usable LLVM or, if there is none, a GPU.
 llvm: $(VENV)/.package
 	@.ci/ensure-llvm $(BIN)/python
 
@@ -52,5 +52,5 @@ $(VENV)/.test: $(VENV)/.package
 	@touch $@
 
 clean:
-	rm -rf $(VENV) .cache renders build *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .cache renders build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

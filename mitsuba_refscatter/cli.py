@@ -80,7 +80,7 @@ def shared(
 ):
     """Volume caustics without noise, for Mitsuba 3.
 
-    Example: refscatter render scenes/sphere/scene.xml -s 16 -o sphere.exr
+    Example: refscatter scenes sphere; refscatter render sphere/scene.xml
     """
     console.debug = debug
     if context.invoked_subcommand is None:
@@ -96,7 +96,7 @@ def render(
         None, "-o", "--output", help="EXR file to write, a PNG goes beside it. [default: SCENE's name, here]"
     ),
     variant: Optional[str] = typer.Option(
-        None, "-m", "--mode", help="Mitsuba variant. [default: the first usable of cuda_ad_rgb, llvm_ad_rgb]"
+        None, "-m", "--mode", help=f"Mitsuba variant. [default: the first usable of {', '.join(platform.PREFERRED)}]"
     ),
     spp: int = typer.Option(0, "-s", "--spp", "--samples", min=0, help="Samples per pixel; 0 leaves it to the scene."),
     define: List[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),  # noqa: UP006
@@ -106,7 +106,7 @@ def render(
 
     The scene's own integrator is used if it is refscatter, otherwise refscatter takes its place.
 
-    Example: refscatter render scenes/sphere/scene.xml -s 16 -D res=256 -o sphere.exr
+    Example: refscatter render sphere/scene.xml -s 16 -D res=256 -o sphere.exr
     """
     values = defines(define)
     # Before Mitsuba touches LLVM: an unsuitable one can end the process.
@@ -125,6 +125,8 @@ def render(
     loaded = load(scene, values)
     integrator = _integrator(loaded, say)
     say(f"Rendering {scene} in {variant} ...")
+    if variant.startswith("cuda"):
+        say(f"Check the picture: {platform.GPU_REMARK}.")
     try:
         bitmap = _render(loaded, integrator, spp, quiet)
     except (RuntimeError, ValueError, TypeError) as error:
@@ -150,7 +152,7 @@ def check():
     table.add_row("Mitsuba", report.mitsuba)
     table.add_row("Dr.Jit", report.drjit)
     table.add_row("LLVM", report.llvm.text + (f"  ({report.llvm.path})" if report.llvm.path else ""))
-    table.add_row("GPU", "usable" if report.gpu_problem is None else "none")
+    table.add_row("GPU", f"usable, but {platform.GPU_REMARK}" if report.gpu_problem is None else "none")
     out.print(table)
     usable = [name for name, problem in report.variants.items() if problem is None]
     out.print(f"\nUsable variants: {', '.join(usable) or 'none'}")

@@ -53,15 +53,15 @@ def compare(
 ):
     """Compare methods on a scene at equal time.
 
-    Example: refscatter compare scenes/sphere/scene.xml --seconds 5 -o out
+    Example: refscatter compare sphere/scene.xml --seconds 5 -o out
     """
     if suite == (scene is not None):
         raise typer.BadParameter("give a scene file or --suite", param_hint="SCENE")
     methods = known([name.strip() for name in names.split(",")], METHODS, "--methods", "method")
+    require("matplotlib", "flip_evaluator")
     variant = measurable(variant, directory)
     if not variant.endswith("_rgb"):
         raise typer.BadParameter(f"errors are those of rgb images, not of {variant}", param_hint="-m")
-    require("matplotlib", "flip_evaluator")
     import mitsuba as mi
 
     mi.set_variant(variant)
@@ -94,8 +94,8 @@ def gallery(
 
     Example: refscatter gallery -o out
     """
-    variant = measurable(variant, directory)
     require("matplotlib", "flip_evaluator")
+    variant = measurable(variant, directory)
     import mitsuba as mi
 
     mi.set_variant(variant)

@@ -95,10 +95,13 @@ def tell_usage(error) -> None:
 
 
 def require(*modules: str) -> None:
-    """``Failure`` with what to install where one of these is missing."""
-    for name in modules:
-        if importlib.util.find_spec(name) is None:
-            raise Failure(f"this needs {name}: {sys.executable} -m pip install -e '.[compare]' in the checkout")
+    """``Failure`` with what to install where some of these are missing; it fits a checkout and an installed wheel alike.
+
+    pip takes the names of modules here: an underscore is a hyphen to it.
+    """
+    missing = [name for name in modules if importlib.util.find_spec(name) is None]
+    if missing:
+        raise Failure(f"this needs {' and '.join(missing)}: {sys.executable} -m pip install {' '.join(missing)}")
 
 
 def known(names: list[str], known, option: str, kind: str) -> list[str]:
@@ -192,7 +195,10 @@ def load(scene: Path, values: dict[str, str]):
     import mitsuba as mi
 
     if not scene.is_file():
-        raise Failure(f"there is no scene file {scene}")
+        name = scene.parent.name
+        ours = scene.name == "scene.xml" and name in scene_files.SCENES
+        way = f": refscatter scenes {name} -o {scene.parent} writes it" if ours else ""
+        raise Failure(f"there is no scene file {scene}{way}")
     meshcheck.check_scene(scene, values)
     try:
         loaded = scene_files.load(scene, **values)

@@ -116,8 +116,8 @@ def convergence(
     Example: refscatter convergence --scene bumpy_sphere --most 1024 -o out
     """
     scenes = known(scenes, scene_files.BODIES, "--scene", "scene")
-    variant = measurable(variant, directory)
     require("matplotlib")
+    variant = measurable(variant, directory)
     shown, rows = table("scene", "estimator", "samples", "L1 difference", "bias", "wall s"), []
 
     def add(row):
@@ -154,8 +154,8 @@ def equal_error(
 
     Example: refscatter equal-error --error 0.05 --resolution 64 -o out
     """
-    variant = measurable(variant, directory)
     require("matplotlib")
+    variant = measurable(variant, directory)
     shown = table("light", "method", "samples", "wall s", "error", f"s to {error:.2g}", "times faster")
 
     def add(row):
@@ -196,10 +196,10 @@ def tradeoff(
 ):
     """Measure error and time over the tolerance and its choices.
 
-    Example: refscatter tradeoff scenes/sphere/scene.xml -D res=128 -o out
+    Example: refscatter tradeoff sphere/scene.xml -D res=128 -o out
     """
-    variant = measurable(variant, directory)
     require("matplotlib", "flip_evaluator")
+    variant = measurable(variant, directory)
     import mitsuba as mi
 
     mi.set_variant(variant)
@@ -240,11 +240,11 @@ def probe(
 ):
     """Show what is added up along one camera ray.
 
-    Example: refscatter probe scenes/sphere/scene.xml --pixel 40 30 -D res=64 -o out
+    Example: refscatter probe sphere/scene.xml --pixel 40 30 -D res=64 -o out
     """
     known([culling], ("beams", "spindle"), "--culling", "culling")
-    variant = measurable(variant, directory)
     require("matplotlib", "plotly")
+    variant = measurable(variant, directory)
     import mitsuba as mi
 
     mi.set_variant(variant)

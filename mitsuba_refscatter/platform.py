@@ -18,7 +18,9 @@ from .spelling import advice
 
 MITSUBA_RANGE = ((3, 9, 1), (3, 10, 0))  # from, below: 3.10 renames the mesh interface
 LLVM_MINIMUM = 17  # 14 is refused by Dr.Jit; 15 and 16 end the process on x86
-PREFERRED = ("cuda_ad_rgb", "llvm_ad_rgb")
+PREFERRED = ("llvm_ad_rgb", "cuda_ad_rgb")
+GPU_REMARK = "refscatter has not been run on a GPU yet"
+"""Why the GPU is the second choice."""
 
 _LLVM_ADVICE = (
     "install LLVM 17 or newer (Debian and Ubuntu: apt install libllvm19), "
@@ -175,7 +177,7 @@ def default_variant() -> str:
     for variant in PREFERRED:
         if problem_of(variant) is None:
             return variant
-    raise PlatformError(str(problem_of(PREFERRED[-1])))
+    raise PlatformError(str(problem_of(PREFERRED[0])))
 
 
 def report() -> Report:
@@ -196,5 +198,5 @@ def report() -> Report:
 
     variants = {name: problem_of(name) for name in mi.variants()}
     default = next((name for name in PREFERRED if variants.get(name, "absent") is None), None)
-    problem = None if default else variants.get(PREFERRED[-1])
+    problem = None if default else variants.get(PREFERRED[0])
     return Report(mi.__version__, installed("drjit"), llvm(), gpu_problem(), variants, default, problem)

@@ -1,5 +1,6 @@
 """What the command says: help, typing errors, tracebacks only where asked for, progress bars."""
 
+import dataclasses
 import io
 import re
 
@@ -11,7 +12,7 @@ from test_cli import SPHERE, assert_one_sentence, needs_variant, refscatter, sce
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from mitsuba_refscatter import cli, console, spelling
+from mitsuba_refscatter import cli, console, platform, spelling
 
 COMMANDS = sorted(get_command(cli.app).commands)
 LINES, COLUMNS = 40, 80
@@ -65,6 +66,45 @@ def test_near_names_where_the_usage_is_right():
     assert_one_sentence(refscatter("render", SPHERE, "-m", "llvm_ad_rbg"), "did you mean llvm_ad_rgb?")
     assert_one_sentence(refscatter("render", SPHERE, "-D", "rez=16"), "did you mean res?")
     assert "did you mean" not in spelling.advice("xyz", ["curve", "point"])
+
+
+def test_a_gpu_is_said_to_be_untried(rgb, monkeypatch, tmp_path):
+    """By ``check`` of one that looks usable, and at the start of a render on it, which here is as far as it goes."""
+
+    def stop(*_):
+        raise RuntimeError("far enough")
+
+    report = dataclasses.replace(platform.report(), gpu_problem=None)
+    monkeypatch.setattr(platform, "report", lambda: report)
+    assert re.search(rf"^GPU +usable, but {platform.GPU_REMARK}", CliRunner().invoke(cli.app, ["check"]).stdout, re.M)
+    monkeypatch.setattr(platform, "require_usable", lambda name: None)
+    monkeypatch.setattr(mi, "set_variant", lambda name: None)
+    monkeypatch.setattr(cli, "_render", stop)
+    for variant in (rgb, "cuda_ad_rgb"):
+        monkeypatch.setattr(cli, "err", rich.console.Console(file=io.StringIO(), soft_wrap=True))
+        CliRunner().invoke(cli.app, ["render", str(SPHERE), "-m", variant, "-o", str(tmp_path / "out.exr")])
+        told = cli.err.file.getvalue()
+        assert f"in {variant} ..." in told and (platform.GPU_REMARK in told) == variant.startswith("cuda")
+
+
+def test_what_is_missing_is_told_once_for_all():
+    with pytest.raises(
+        console.Failure, match=r"^this needs no_such and none_such: \S+ -m pip install no_such none_such$"
+    ):
+        console.require("json", "no_such", "none_such")
+
+
+def test_a_missing_scene_of_ours_is_answered_with_what_writes_it(tmp_path):
+    """README and help name such scenes, which only a checkout has."""
+    scene = tmp_path / "scenes" / "sphere" / "scene.xml"
+    with pytest.raises(console.Failure) as told:
+        console.load(scene, {})
+    command = re.fullmatch(f"there is no scene file {scene}: refscatter (.*) writes it", str(told.value)).group(1)
+    done = refscatter(*command.split())
+    assert done.returncode == 0 and scene.is_file()
+    for other in (scene.with_name("mine.xml"), tmp_path / "mine" / "scene.xml"):
+        with pytest.raises(console.Failure, match=r"mine(/scene)?\.xml$"):
+            console.load(other, {})
 
 
 @pytest.mark.parametrize("plugin, name, value, near", [

@@ -43,6 +43,22 @@ def test_unknown_variant_names_the_known_ones():
         platform.require_usable("llvm_ad_nonsense")
 
 
+@pytest.mark.parametrize("usable, default", [
+    (["cuda_ad_rgb", "llvm_ad_rgb"], "llvm_ad_rgb"), (["cuda_ad_rgb", "llvm_ad_mono"], "cuda_ad_rgb"), (["llvm_ad_mono"], None),
+], ids=["both", "no LLVM", "none"])  # fmt: skip
+def test_llvm_is_the_default_where_it_is_usable(usable, default, monkeypatch):
+    """The GPU is taken where it is not, and of two reasons why nothing is usable LLVM's is told."""
+    monkeypatch.setattr(platform, "problem_of", lambda name: None if name in usable else f"{name} is broken")
+    report = platform.report()
+    assert report.default == default
+    if default is not None:
+        assert platform.default_variant() == default and report.problem is None
+    else:
+        with pytest.raises(platform.PlatformError, match="llvm_ad_rgb is broken"):
+            platform.default_variant()
+        assert report.problem == "llvm_ad_rgb is broken"
+
+
 @pytest.mark.parametrize("version, works, word", [((15, 0, 6), True, "15.0.6"), ((16, 0, 0), True, "16.0.0"),
                                                   ((-1, -1, -1), False, "no LLVM"), ((19, 1, 7), False, "processor")])  # fmt: skip
 def test_unsuitable_llvm_is_explained(version, works, word):
