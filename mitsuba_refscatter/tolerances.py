@@ -19,6 +19,9 @@ CAMERA_OFFSET = 2e-6
 ASIDE = 2e-6
 """Angle by which a ray is turned that slipped through an edge of a mesh: a few times what float32 makes of its direction."""
 
+FROM_ELSEWHERE = 0.01
+"""Share of the camera's first hits from a side of boundaries where another medium is than the sensor names, above which a scene is refused."""
+
 OPAQUE = 20.0
 """Optical depth behind which nothing is seen of a medium: 2e-9 of the light is left."""
 
