@@ -312,7 +312,7 @@ def _refuse_other_medium(scene, legs, met):
         return  # it slipped through twice
     medium = None if (there := body.inside if leaves else body.outside) == NONE else scene.regions[there].medium
     share = f"{100 * counts[most] / hits:.3g} %"
-    if leaves and medium is not None and bool(dr.any((met.target == body.index) & ~met.leaving)):
+    if leaves and not body.closed and medium is not None and bool(dr.any((met.target == body.index) & ~met.leaving)):
         raise hole_refusal(body, medium, share)
     where = f"is met from its {'inside' if leaves else 'outside'} by {share} of the camera rays that hit anything"
     raise side_refusal(body, leaves, medium, named, where)

@@ -188,10 +188,10 @@ def _scene(scene, groups, shapes):
 def _matrix(shape):
     """``to_world`` (4, 4), float64."""
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+    if not np.isfinite(matrix).all():
+        raise SceneError(f"{name_shape(shape)} has a to_world with numbers that are not finite: correct it")
     columns = np.linalg.norm(matrix[:3, :3], axis=0)
-    if not abs(np.linalg.det(matrix[:3, :3])) > FLAT * columns.prod():  # also for NaN
-        if not np.isfinite(matrix).all():
-            raise SceneError(f"{name_shape(shape)} has a to_world with numbers that are not finite: correct it")
+    if not abs(np.linalg.det(matrix[:3, :3])) > FLAT * columns.prod():
         raise SceneError(
             f"{name_shape(shape)} has a to_world that flattens it: scale it by more than 0 along each axis"
         )
