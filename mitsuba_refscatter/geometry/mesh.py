@@ -47,7 +47,7 @@ def faults(faces):
     >>> [x.tolist() for x in faults(np.array([[0, 1, 2], [0, 1, 3]]))]
     [[], [], [], [0]]
     >>> [x.tolist() for x in faults(np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4], [2, 1, 0]]))]
-    [[3], [0], [4], [1, 2]]
+    [[3], [0], [4], []]
     """
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     repeated = np.setdiff1d(np.arange(len(faces)), first)
