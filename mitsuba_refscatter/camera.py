@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from . import lanes, optics, tolerances
 from .geometry import triangle
-from .scene import NONE, holds, refusal
+from .scene import NONE, holds, hole_refusal, refusal, side_refusal
 
 
 @dataclass
@@ -94,7 +95,7 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
         dr.scatter(paths.hit, hit, legs.sample)
     _refuse_overlaps(scene, legs, pi.t, target, other)
     if first:
-        _refuse_other_medium(scene, legs, target, other & ~leaving)
+        _refuse_other_medium(scene, legs, met)
     after = _make_up(scene, legs, target, leaving, here, other)
     sigma_t, within = mi.Spectrum(0), legs.region != NONE
     wavelengths = lanes.of(ray.wavelengths, legs.sample)
@@ -283,20 +284,38 @@ def _reflected(scene, legs, ray, pi, mirror, internal_bounces, min_weight, first
     return [legs.gather(kept)] if dr.width(kept) > 0 else []
 
 
-def _refuse_other_medium(scene, legs, target, other):
-    """Camera rays in a medium without end that meet a body whose exterior is another."""
-    found = dr.compress(other)
+def _refuse_other_medium(scene, legs, met):
+    """Camera rays that first meet a boundary from a side where another medium is than the sensor names.
+
+    A few may have slipped through edges, or see an open surface from behind through its hole. They are made up for, as long as
+    they are at most ``tolerances.FROM_ELSEWHERE`` of the rays in this wavefront that hit anything. None are where the sensor is
+    in a medium without end and a body is met from outside.
+    """
+    found = dr.compress(scene.missed_behind(legs.region, met.target, met.leaving, met.other))
     if dr.width(found) == 0:
         return
-    around, hit = (int(dr.gather(mi.UInt32, x, found)[0]) for x in (legs.region, target))
-    if around != NONE and scene.regions[around].body is None:
-        raise refusal(
-            "exterior",
-            scene.bodies[hit].name,
-            other="the medium that the sensor is in",
-            what="another exterior medium or none",
-            side="exterior",
-        )
+    start = int(dr.gather(mi.UInt32, legs.region, found)[0])
+    around = None if start == NONE else scene.regions[start]
+    named = None if around is None else around.medium
+    target, here, inside = (lanes.gather(x, found).numpy() for x in (met.target, met.here, met.leaving))
+    differs = np.array([region.medium != named for region in scene.regions] + [named is not None])
+    wrong, hits = differs[np.minimum(here, len(scene.regions))], int(dr.count(met.hit)[0])
+    if wrong.sum() <= tolerances.FROM_ELSEWHERE * hits:
+        wrong &= ~inside & (around is not None and around.body is None)
+    if not wrong.any():
+        return
+    sides, first, counts = np.unique(2 * target[wrong] + inside[wrong], return_index=True, return_counts=True)
+    most = np.argmax(counts)
+    body, leaves = scene.bodies[sides[most] // 2], bool(sides[most] % 2)
+    lane = dr.gather(mi.UInt32, found, mi.UInt32(int(np.flatnonzero(wrong)[first[most]])))
+    if leaves and body.closed and not holds(body, dr.gather(mi.Point3f, legs.o, lane).numpy().ravel()):
+        return  # it slipped through twice
+    medium = None if (there := body.inside if leaves else body.outside) == NONE else scene.regions[there].medium
+    share = f"{100 * counts[most] / hits:.3g} %"
+    if leaves and not body.closed and medium is not None and bool(dr.any((met.target == body.index) & ~met.leaving)):
+        raise hole_refusal(body, medium, share)
+    where = f"is met from its {'inside' if leaves else 'outside'} by {share} of the camera rays that hit anything"
+    raise side_refusal(body, leaves, medium, named, where)
 
 
 def _refuse_overlaps(scene, legs, t, target, other):

@@ -1,5 +1,7 @@
 """Scenes with one thing wrong, and the assertion that they are refused."""
 
+import re
+
 import build
 import mitsuba as mi
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from meshes import Mesh, icosphere
 
 BALL = icosphere(1)
+HONEY = {"type": "ref", "id": "honey"}
 
 
 def grey(value):
@@ -66,6 +69,11 @@ def refused(build_scene, *words):
     for word in words:
         assert word in sentence, sentence
     return sentence
+
+
+def points_of(sentence):
+    """The points that a sentence names, (n, 3)."""
+    return np.array(re.findall(r"\((\S+), (\S+), (\S+?)\)", sentence), dtype=float)
 
 
 def with_faces(faces):

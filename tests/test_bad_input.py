@@ -83,7 +83,7 @@ MESHES = {
     "a normal is zero": (with_value(BALL, "normals", 0), ["normals", "zero", "face_normals"]),
     "no triangles": (with_faces(BALL.faces[:0]), ["no triangles"]),
     "a triangle is turned": (with_faces(FLIPPED), ["inconsistent", "orientation"]),
-    "a triangle comes twice": (with_faces(np.concatenate([BALL.faces, BALL.faces[:1]])), ["more than one"]),
+    "a triangle comes twice": (with_faces(np.concatenate([BALL.faces, BALL.faces[:1]])), ["twice", "merge"]),
     "no volume": (FLAT, ["volume"]),
 }
 

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 import test_lights
 import test_real_scenes as real
-from faults import BALL, Maker, amber, glass, moved, rectangle, refused, render, sensor, with_faces
+from faults import BALL, HONEY, Maker, amber, glass, moved, rectangle, refused, render, sensor, with_faces
 from test_bad_input import FLIPPED
+from test_camera_side import CUP
+from test_refusals import with_fins
 from test_unsupported import BOUNDARIES, MEDIA, OVERLAPPING
 
 from mitsuba_refscatter.scene import support
@@ -50,7 +52,10 @@ REFUSED = {
     "to_world": lambda make: make.scene(
         ball={"type": "sphere", "bsdf": glass(), "interior": amber(), "to_world": mi.ScalarTransform4f().scale([1, 1, 0.5])}
     ),
-    "two sides": lambda make: make.scene(ball=make.ball(with_faces(FLIPPED))),
+    "winding": lambda make: make.scene(ball=make.ball(with_faces(FLIPPED))),
+    "crowded": lambda make: make.scene(ball=make.ball(with_fins(1))),
+    "repeated": lambda make: make.scene(ball=make.ball(with_faces(np.concatenate([BALL.faces, BALL.faces[:1]])))),
+    "hole": lambda make: make.scene(ball=make.ball(CUP), sensor=sensor((0, 3, 3))),
     "overlap": lambda make: make.scene(other=make.ball(OVERLAPPING, eta=1.3)),
     "exterior": lambda make: make.scene(inner=make.ball(moved(BALL, 0.1, scale=0.4), eta=1.3)),
     "straight inside": lambda make: make.scene(
@@ -60,6 +65,10 @@ REFUSED = {
         a_medium={**amber(), "id": "around"},
     ),
     "camera medium": lambda make: make.scene(sensor=sensor((0.1, 0.1, 0.2))),
+    "sensor medium": lambda make: make.scene(sensor=sensor(medium=amber())),
+    "sensor outside": lambda make: make.scene(
+        a_medium={**amber(), "id": "honey"}, ball=make.ball(interior=HONEY), sensor=sensor(medium=HONEY)
+    ),
     "medium": lambda make: make.scene(ball=make.ball(interior=MEDIA["heterogeneous"][0]())),
     "varies": lambda make: make.scene(ball=make.ball(interior=MEDIA["albedo varies"][0]())),
     "twice": lambda make: make.scene(integrator={"type": "refscatter", "inside": {"type": "volpath"}}),

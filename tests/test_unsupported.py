@@ -184,8 +184,8 @@ def test_any_light_where_nothing_scatters(make):
 
 def test_camera_in_another_medium(make):
     refused(lambda: make.scene(sensor=sensor(medium=amber())), '"ball"', "sensor", "exterior")
-    inside = sensor((0.1, 0.1, 0.2), medium=amber())
-    refused(lambda: make.scene(sensor=inside), "camera", '"ball"', "another medium", "move it out")
+    inside = sensor((0.1, 0.1, 0.2), medium={**amber(), "id": "oil"})
+    refused(lambda: make.scene(sensor=inside), "camera", '"ball"', 'names the medium "oil"', "move it out")
 
 
 @pytest.mark.parametrize("key", ["ball.vertex_positions", "ball.interior_medium.albedo.value.value", "lamp.position"])

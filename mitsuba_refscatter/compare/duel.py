@@ -58,8 +58,15 @@ def compare(subject, names, setup, reference=None, report=lambda stage, fraction
         reference = found.image
         about = (f"curve at tolerance {race.REFERENCE_TOLERANCE:g}, {found.samples} samples per pixel, "
                  f"{found.wall_seconds:.1f} s{'' if setup.internal_bounces else _checked(subject.shipped)}")  # fmt: skip
-    if not np.isfinite(reference).all() or not reference.mean() > 0:
-        raise ValueError("the reference is black or holds numbers that are not finite: nothing can be compared with it")
+    bad = int((~np.isfinite(reference)).sum())
+    if bad:
+        raise ValueError(
+            f"the reference holds {bad} numbers that are not finite: render it anew, or leave it out for a long run"
+        )
+    if not reference.mean() > 0:
+        raise ValueError(
+            "the reference is black, so nothing can be compared with it: choose a scene in which light scatters"
+        )
     runs, wanted = [], None
     for name in names:
         loaded, clear = scene, None

@@ -41,6 +41,28 @@ def twins(faces):
     return twin
 
 
+def faults(faces):
+    """Why ``twins`` is None: ``(repeated, crowded, triangles, turned)``, numbers from the lowest on. ``repeated``: triangles with the
+    corners of an earlier one; ``crowded``: edges (the first directed one of each) that ``triangles``, three or more, share;
+    ``turned``: edges of two triangles that run along them in the same direction.
+
+    >>> [x.tolist() for x in faults(np.array([[0, 1, 2], [0, 1, 3]]))]
+    [[], [], [], [0]]
+    >>> [x.tolist() for x in faults(np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4], [2, 1, 0]]))]
+    [[3], [0], [4], []]
+    """
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    repeated = np.setdiff1d(np.arange(len(faces)), first)
+    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    counts = np.flatnonzero(np.repeat((tail != head).reshape(-1, 3).all(axis=1), 3))
+    keys = edge_keys(tail[counts], head[counts], int(faces.max()) + 1)
+    _, first, edge, number = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
+    upwards = np.bincount(edge.reshape(-1), tail[counts] < head[counts])
+    crowded, turned = (np.flatnonzero(x) for x in (number > 2, (number == 2) & (upwards != 1)))
+    crowded = crowded[np.argsort(first[crowded])]
+    return repeated, counts[first[crowded]], number[crowded], np.sort(counts[first[turned]])
+
+
 def edge_keys(a, b, count):
     """A number for each edge between two of ``count`` vertices, the same in both directions: lower x ``count`` + upper.
 

@@ -219,12 +219,13 @@ def _nested(props, hide_emitters):
         if not isinstance(other, mi.Integrator):
             raise options.OptionError(f"refscatter: the nested {other.class_name()} is no integrator: remove it")
     if len(nested) > 1:
-        raise options.OptionError("refscatter: more than one nested integrator is given: give one")
+        names = ", ".join(other.class_name() for other in nested)
+        raise options.OptionError(f"refscatter: more than one nested integrator is given ({names}): give one")
     if not nested:
         return mi.load_dict({"type": "path", "hide_emitters": hide_emitters})
     if not isinstance(nested[0], mi.SamplingIntegrator):
-        raise options.OptionError("refscatter: the nested integrator does not work along rays: use path")
+        raise options.OptionError(f"refscatter: the nested {nested[0].class_name()} does not work along rays: use path")
     names = f"{nested[0].class_name()} {type(nested[0]).__name__} {nested[0]}"
     if any(name in names for name in NESTED_WITH_MEDIA):
-        raise options.OptionError(f"refscatter: {REFUSED['twice'].says}")
+        raise options.OptionError(f"refscatter: the nested {nested[0].class_name()} {REFUSED['twice'].says}")
     return nested[0]

@@ -16,7 +16,7 @@ from . import bodies as body_reader
 from . import lights as light_reader
 from . import shapes
 from .bodies import NONE
-from .errors import SceneError, name_shape
+from .errors import SceneError, name_edge, name_medium, name_shape
 from .regions import Regions
 from .support import REFUSED, refusal
 from .surfaces import albedos, box, names, shape_number
@@ -267,21 +267,45 @@ def holds(body, point):
 
 def region_of_camera(scene, medium, origin):
     """Index of the region in which camera rays start (or NONE), from the ``medium`` that the sensor names (or None)
-    and an ``origin`` of its rays (3 numbers)."""
+    and an ``origin`` of its rays (3 numbers). Open boundaries do not tell on which side of them it is: what the rays meet
+    does (``side_refusal``)."""
     around = [body for body in scene.bodies if body.closed and holds(body, origin)]
     body = min(around, key=lambda body: np.prod(np.subtract(*body.box[::-1])), default=None)
-    if body is None:
-        matches = [r for r in scene.regions if r.medium is not None and r.medium == medium and r.body is None]
-        if medium is not None and not matches:
-            raise SceneError(
-                "the sensor names a medium, but it is outside of the bodies that hold it: move it into one, or remove the medium"
-            )
-        return matches[0].index if matches else NONE
-    region = scene.regions[body.inside]
-    if region.medium != medium:
-        what = "no medium" if medium is None else "another medium"
-        raise refusal("camera medium", body.name, what=what)
-    return region.index
+    if body is not None:
+        region = scene.regions[body.inside]
+        if region.medium != medium:
+            raise side_refusal(body, True, region.medium, medium, "is around the camera")
+        return region.index
+    if medium is None:
+        return NONE
+    matches = [region for region in scene.regions if region.medium == medium]
+    if not matches:
+        raise SceneError(
+            f"the sensor names {name_medium(medium)}, which no part of the scene has: remove it from the sensor"
+        )
+    if all(region.body is not None for region in matches):
+        raise refusal("sensor outside", matches[0].body.name, medium=name_medium(medium))
+    return next(region.index for region in matches if region.body is None)
+
+
+def side_refusal(body, inside, medium, named, where):
+    """The ``SceneError`` for a camera that is on a side of a boundary (``where`` says how that is known) with another ``medium``
+    (or None) than the sensor has ``named``."""
+    if medium is None:
+        side = "interior" if inside else "exterior"
+        return refusal("sensor medium", body.name, where=where, named=name_medium(named), side=side)
+    instead = "move it to the other side, or turn the surface with flip_normals"
+    if body.closed:
+        instead = "or move it out" if inside else "or remove that from the shape's exterior"
+    names = {"medium": name_medium(medium), "named": name_medium(named)}
+    return refusal("camera medium", body.name, where=where, instead=instead, **names)
+
+
+def hole_refusal(body, medium, share):
+    """The ``SceneError`` for an open boundary of which the camera sees the outside, and by a ``share`` of its rays the inside."""
+    edges = np.flatnonzero(body.twin < 0)
+    edge = name_edge(body.corners, edges[0])
+    return refusal("hole", body.name, share=share, medium=name_medium(medium), count=len(edges), edge=edge)
 
 
 def refuse_gradients(scene):
@@ -292,5 +316,6 @@ def refuse_gradients(scene):
 
 
 __all__ = [
-    "NONE", "ONCE", "REFUSED", "Scene", "SceneError", "holds", "name_shape", "read", "refusal", "refuse_gradients", "region_of_camera",
+    "NONE", "ONCE", "REFUSED", "Scene", "SceneError", "holds", "hole_refusal", "name_shape", "read", "refusal", "refuse_gradients", "region_of_camera",
+    "side_refusal",
 ]  # fmt: skip

@@ -14,7 +14,7 @@ from ..geometry import mesh as mesh_facts
 from ..geometry import triangle
 from ..kept import fingerprint
 from ..lanes import NONE  # no body; the region that has no medium and is no body's inside
-from .errors import SceneError, name_shape
+from .errors import SceneError, name_edge, name_part, name_place, name_shape
 from .support import BOUNDARIES, PERTURBED, refusal
 
 
@@ -107,6 +107,13 @@ class Body:
         )  # fmt: skip
 
 
+def refuse_shining(shape):
+    """Refuses a boundary that is an emitter or a sensor."""
+    for it_is, what in ((shape.is_emitter(), "emitter"), (shape.is_sensor(), "sensor")):
+        if it_is:
+            raise refusal("shines", name_shape(shape), what=what)
+
+
 def kind_of(shape):
     """The kind of boundary that a shape is (a value of ``support.BOUNDARIES``); None if it is an ordinary surface. Refuses
     shapes that are neither."""
@@ -115,8 +122,7 @@ def kind_of(shape):
     if shape.class_name() in ("Instance", "ShapeGroup", "ShapeGroupPlugin"):
         return None
     if bsdf_kind in BOUNDARIES:
-        if shape.is_emitter():
-            raise refusal("shines", name)
+        refuse_shining(shape)
         return BOUNDARIES[bsdf_kind]
     if bsdf is not None and any(
         key.endswith("bsdf.eta") or key.endswith("bsdf_0.eta") for key in mi.traverse(bsdf).keys()
@@ -149,7 +155,7 @@ def _read(shape, kind, eta, name, key):
         topology = mesh_facts.weld(vertices, faces)
         twin = mesh_facts.twins(topology)
     if twin is None:
-        raise refusal("two sides", name)
+        raise _one_sided(corners, topology, name)
     part, closed = mesh_facts.components(topology), bool((twin >= 0).all())
     winding, agreement = triangle.geometric_normal(corners), None
     if normals is not None:
@@ -172,13 +178,23 @@ def _read(shape, kind, eta, name, key):
     )  # fmt: skip
 
 
+def _one_sided(corners, topology, name):
+    """The ``SceneError`` for a mesh whose edges have no twins: the first of the causes that it has."""
+    repeated, crowded, triangles, turned = mesh_facts.faults(topology)
+    if len(repeated):
+        return refusal("repeated", name, count=len(repeated), place=name_place(corners[repeated[0]].mean(axis=0)))
+    if len(crowded):
+        return refusal("crowded", name, count=len(crowded), edge=name_edge(corners, crowded[0]), triangles=triangles[0])
+    return refusal("winding", name, count=len(turned), edge=name_edge(corners, turned[0]))
+
+
 def _properties(bsdf, kind, name):
     """Relative index of refraction (1 where nothing is refracted but for a thin one's Fresnel term) and tints."""
     eta, tints, parameters = 1.0, {}, mi.traverse(bsdf)
     if kind != "null":
         eta = float(np.array(parameters["eta"]).ravel()[0])
         if not (np.isfinite(eta) and eta > 0):
-            raise SceneError(f"{name} has the relative index of refraction {eta}: it must be positive")
+            raise SceneError(f"{name} has the relative index of refraction {eta}: it must be finite and positive")
     for what in ("specular_transmittance", "specular_reflectance"):
         keys = [key for key in parameters.keys() if key.startswith(what)]
         if not keys:
@@ -203,37 +219,44 @@ def _outward(corners, normals, part, name):
 
     A mirrored transform turns the winding: the interior is what the surface encloses, either way.
     """
-    signs = np.ones(part.max() + 1)
-    for k in range(len(signs)):
-        piece = corners[part == k]
-        volume = mesh_facts.volume(piece)
-        if abs(volume) < tolerances.NO_VOLUME * np.ptp(piece.reshape(-1, 3), axis=0).max() ** 3:
-            raise SceneError(f"{name} has a part that encloses no volume: remove it or mend the mesh")
-        signs[k] = np.sign(volume)
-    around = _around(corners, part, name)
+    pieces = [corners[part == k] for k in range(part.max() + 1)]
+    volumes = np.array([mesh_facts.volume(piece) for piece in pieces])
+    sizes = np.array([np.ptp(piece.reshape(-1, 3), axis=0).max() for piece in pieces])
+    flat = np.flatnonzero(~(np.abs(volumes) >= tolerances.NO_VOLUME * sizes**3))
+    if len(flat):
+        raise SceneError(f"{name} has closed parts that enclose no volume ({len(flat)}, the first of {name_part(pieces[flat[0]])}): "
+                         "remove them or give them thickness")  # fmt: skip
+    signs, around = np.sign(volumes), _around(pieces, name)
     outer = signs.copy()
-    for k in range(len(signs)):
+    for k, piece in enumerate(pieces):
         parents = np.flatnonzero(around[:, k])
         depth = len(parents)
+        if (around[:, k] & around[k]).any():
+            raise SceneError(
+                f"{name} has a part of {name_part(piece)} with another in the same place: remove one of them"
+            )
         if depth % 2 == 1:
             if any(signs[p] == signs[k] for p in parents if around[:, p].sum() == depth - 1):
-                raise SceneError(f"{name} has a part that is inside or overlaps another and winds the same way: the wall of a cavity "
-                                 "must wind the other way; else separate them")  # fmt: skip
+                raise SceneError(f"{name} has a part of {name_part(piece)} inside another that winds the same way: reverse it if it is "
+                                 "the wall of a cavity, else make it a shape with the medium around it as its exterior")  # fmt: skip
             outer[k] = -signs[k]
     return normals * outer[part][:, None]
 
 
-def _around(corners, part, name):
+def _around(pieces, name):
     """Which closed part encloses which (n, n): [i, j] where i encloses j. Refuses parts that overlap."""
-    n = part.max() + 1
-    pieces = [corners[part == k] for k in range(n)]
+    n = len(pieces)
     out = np.zeros((n, n), dtype=bool)
     for i in range(n):
         for j in range(n):
             if i != j:
                 share = enclosed_share(pieces[i], pieces[j])
                 if 0 < share < 1:
-                    raise refusal("overlap", f"a part of {name}", other="another")
+                    raise refusal(
+                        "overlap",
+                        f"a part of {name} ({name_part(pieces[i])})",
+                        other=f"another ({name_part(pieces[j])})",
+                    )
                 out[i, j] = share == 1
     return out
 
@@ -262,17 +285,23 @@ def _read_mesh(shape, name):
     if shape.face_count() == 0:
         raise SceneError(f"{name} has no triangles: remove it or give it some")
     faces = shape.face_indices(dr.arange(mi.UInt32, shape.face_count())).numpy().T.astype(np.int64)
-    if faces.max() >= shape.vertex_count():
-        raise SceneError(f"{name} has a vertex index out of range: the file is damaged")
+    bad = np.flatnonzero((faces >= shape.vertex_count()).any(axis=1))
+    if len(bad):
+        raise SceneError(f"{name} has triangles with a vertex that is not there ({len(bad)}, the first with the vertices "
+                         f"{', '.join(map(str, faces[bad[0]]))} of {shape.vertex_count()}, counted from 0): write the mesh anew")  # fmt: skip
     every = dr.arange(mi.UInt32, shape.vertex_count())
     vertices = shape.vertex_position(every).numpy().T.astype(np.float64)
     used = np.unique(faces)
-    if not np.isfinite(vertices[used]).all():
-        raise SceneError(f"{name} has vertices that are not finite (NaN or infinite): mend the mesh")
+    bad = used[~np.isfinite(vertices[used]).all(axis=1)]
+    if len(bad):
+        raise SceneError(f"{name} has vertices that are not finite ({len(bad)}, the first is number {bad[0]}, counted from 0, at "
+                         f"{name_place(vertices[bad[0]])}): mend the mesh")  # fmt: skip
     if not shape.has_vertex_normals() or shape.has_face_normals():
         return vertices, faces, None
     normals = shape.vertex_normal(every).numpy().T.astype(np.float64)
     length = np.linalg.norm(normals, axis=1)
-    if not (length[used] > tolerances.VERTEX_NORMAL).all():  # also False for NaN
-        raise SceneError(f"{name} has vertex normals that are zero or not finite: recompute them, or set face_normals")
+    bad = used[~((length[used] > tolerances.VERTEX_NORMAL) & np.isfinite(length[used]))]
+    if len(bad):  # Mitsuba's loaders make NaN of zero
+        raise SceneError(f"{name} has vertex normals that are zero or not finite ({len(bad)}, the first at the vertex {name_place(vertices[bad[0]])}): "
+                         "recompute them, or set face_normals")  # fmt: skip
     return vertices, faces, normals / np.maximum(length, tolerances.VERTEX_NORMAL)[:, None]

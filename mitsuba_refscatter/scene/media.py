@@ -30,11 +30,12 @@ def check(name, medium):
         if option in limits and not colour and checked:
             low, high = limits[option]
             x = np.array(dr.ravel(value) if dr.is_array_v(value) else value, dtype=float)
-            if not (np.isfinite(x).all() and (x >= low).all() and (x <= high).all()):
+            bad = x.ravel()[~(np.isfinite(x) & (x >= low) & (x <= high)).ravel()]
+            if len(bad):
                 what = "its phase function's g" if option == "phase_function" else f"its medium's {option}"
                 allowed = f"in [{low}, {high}]" if np.isfinite(high) else "not negative"
                 allowed = "in (-1, 1)" if low < 0 else allowed
-                raise SceneError(f"{name} has a bad value of {what}: it must be finite and {allowed}")
+                raise SceneError(f"{name} has {bad[0]:g} as {what}: it must be finite and {allowed}")
 
 
 def visible():

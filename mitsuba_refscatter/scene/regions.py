@@ -9,7 +9,7 @@ import numpy as np
 from .. import tolerances
 from . import media
 from .bodies import NONE, enclosed_share
-from .errors import SceneError
+from .errors import SceneError, name_medium
 from .support import refusal
 
 
@@ -95,8 +95,9 @@ class Regions:
             return self._of(medium, body)
         region = self.found[container.inside]
         if region.medium != medium:
-            what = f"no {side} medium" if medium is None else f"another {side} medium"
-            raise refusal("exterior", body.name, other=container.name, what=what, side=side)
+            what = f"no {side} medium" if medium is None else f"another {side} medium, {name_medium(medium)}"
+            around = name_medium(region.medium)
+            raise refusal("exterior", body.name, other=container.name, what=what, around=around, side=side)
         return region.index
 
 
@@ -117,7 +118,7 @@ def _containers(bodies):
             if outer is inner or not outer.closed or not _boxes_meet(inner.box, outer.box):
                 continue
             share = enclosed_share(outer.corners, inner.corners)
-            if 0 < share < 1:
+            if 0 < share < 1 or (share == 1 and inner in around.get(outer.index, ())):  # the latter: in the same place
                 raise refusal("overlap", inner.name, other=outer.name)
             if share == 1:
                 around.setdefault(inner.index, []).append(outer)

@@ -13,6 +13,7 @@ import numpy as np
 
 from .. import lanes, tolerances
 from ..geometry.geodesic import geodesic_sphere
+from .bodies import refuse_shining
 from .errors import SceneError, name_shape
 from .support import refusal
 
@@ -158,16 +159,19 @@ def _scene(scene, groups, shapes):
 def _matrix(shape):
     """``to_world`` (4, 4), float64."""
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+    if not np.isfinite(matrix).all():
+        raise SceneError(f"{name_shape(shape)} has a to_world with numbers that are not finite: correct it")
     columns = np.linalg.norm(matrix[:3, :3], axis=0)
-    if not abs(np.linalg.det(matrix[:3, :3])) > tolerances.FLATTENED * columns.prod():  # also for NaN
-        raise SceneError(f"{name_shape(shape)} has a to_world that flattens it or is not finite: correct it")
+    if not abs(np.linalg.det(matrix[:3, :3])) > tolerances.FLATTENED * columns.prod():
+        raise SceneError(
+            f"{name_shape(shape)} has a to_world that flattens it: scale it by more than 0 along each axis"
+        )
     return matrix
 
 
 def _mesh(surface, shape, name):
     """``mi.Mesh`` of the id ``name`` in place of a shape, with its BSDF and media."""
-    if shape.is_emitter() or shape.is_sensor():
-        raise refusal("shines", name_shape(shape))
+    refuse_shining(shape)
     properties = mi.Properties()
     parts = {"bsdf": shape.bsdf(), "interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
     for key, part in parts.items():

@@ -24,6 +24,9 @@ ASIDE = 2e-6
 OVERLAP_RAYS = 16
 """Most camera rays at a time whose middles are asked whether they lie in two bodies that overlap."""
 
+FROM_ELSEWHERE = 0.01
+"""Share of the camera's first hits from a side of boundaries where another medium is than the sensor names, above which a scene is refused."""
+
 OPAQUE = 20.0
 """Optical depth behind which nothing is seen of a medium: 2e-9 of the light is left."""
 
