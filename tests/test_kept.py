@@ -7,11 +7,11 @@ import build
 import mitsuba as mi
 import numpy as np
 import pytest
-from meshes import Mesh, bumpy_sphere, icosphere, triangle_grid
+from meshes import Mesh, bumpy_sphere, triangle_grid
 from test_same_again import assert_same
 
 from mitsuba_refscatter import options
-from mitsuba_refscatter.integrators import lit
+from mitsuba_refscatter.integrators import coarseness, lit
 from mitsuba_refscatter.kept import Kept
 
 LAMP = (-2.6, 2.4, -0.9)
@@ -75,10 +75,6 @@ def change(scene, key, value):
     return before
 
 
-def stretched(vertices):
-    return mi.Float((np.array(vertices).reshape(-1, 3) * [0.8, 1.0, 1.2]).ravel())
-
-
 CHANGES = {
     "light": ("light.to_world", lambda t: mi.Transform4f(look((3, 2, 3)))),
     "cone": ("light.beam_width", lambda angle: 5.0),
@@ -86,15 +82,22 @@ CHANGES = {
     "extinction": ("body.interior_medium.sigma_t.value.value", lambda x: mi.Color3f(30)),
     "phase function": ("body.interior_medium.phase_function.g", lambda g: mi.Float(0.9)),
     "index": ("body.bsdf.eta", lambda eta: 2.0),
-    "mesh": ("body.vertex_positions", stretched),
 }
 
 
-def test_the_coarse_mesh_follows_the_scene(ball, render):
+def test_the_coarse_mesh_follows_the_scene(ball, render, monkeypatch):
     """Light, camera, medium and boundary are changed one at a time. A coarse mesh is in use all the time, often another one."""
     scene, one = ball(), refscatter()
-    original, levels = render(one, scene)
-    assert len(levels) == 1
+    # First by a camera that is no part of the scene: when it is changed for another, nothing of that changes.
+    _, by_other = render(one, scene, mi.load_dict(camera((3, -3, 1))))
+    (original, found), (fresh, levels) = render(one, scene), render(refscatter(), scene)
+    assert len(levels) == 1 and found == levels != by_other
+    assert_same(original, fresh)
+    made = dict(one.kept._now)
+    with monkeypatch.context() as context:  # the second render chooses and makes nothing
+        context.setattr(coarseness, "suitable", None)
+        assert_same(render(one, scene)[0], original)
+    assert all(made.get(key) is value for key, value in one.kept._now.items())
     different = set()
     for name, (key, value) in CHANGES.items():
         before = change(scene, key, value)
@@ -106,11 +109,16 @@ def test_the_coarse_mesh_follows_the_scene(ball, render):
         different |= {name} if wanted != levels else set()
         change(scene, key, lambda _: before)
     assert {"light", "camera", "extinction"} <= different
-    # A camera that is no part of the scene: nothing of that has changed.
-    (_, levels), other = render(one, scene), mi.load_dict(camera((3, -3, 1)))
-    (image, found), (fresh, wanted) = render(one, scene, other), render(refscatter(), scene, other)
+
+
+@pytest.mark.slow
+def test_the_coarse_mesh_follows_the_accuracy(ball, render):
+    scene, one, fresh = ball(), refscatter(), refscatter()
+    _, levels = render(one, scene)
+    one.changes = fresh.changes = {"coarse": 0.3}
+    (image, found), (expected, wanted) = render(one, scene), render(fresh, scene)
     assert found == wanted != levels
-    assert_same(image, fresh)
+    assert_same(image, expected)
 
 
 def assert_follows(render, first, second):
@@ -147,6 +155,7 @@ def test_another_body_moves(ball, render):
     assert_follows(render, *(at(scene, "other.to_world", place) for place in places))
 
 
+@pytest.mark.slow
 def test_an_obstacle_of_another_kind(ball, render):
     """In the same place."""
     block = {"to_world": scaled([-1.5, 1.4, -0.5], 0.4), "bsdf": {"type": "diffuse"}}
@@ -170,14 +179,16 @@ def test_coarse_meshes_follow_how_deep_one_sees(rgb, tmp_path, render):
 
 
 def test_beams_of_a_point_on_a_shape(rgb, tmp_path):
-    """The shape is in the way of a light in the same place that does not lie on it."""
-    lamp = {"type": "sphere", "center": [0, 3, 0], "emitter": {"type": "area"}}
-    scene = mi.load_dict({"type": "scene", "body": build.mesh_shape(icosphere(2), tmp_path / "m.ply"), "lamp": lamp})
-    prepared = lit.Prepared(scene, options.Options(), lambda: 0, Kept())
-    (region,), (light,) = prepared.scene.regions, prepared.scene.lights
-    (body,), on_it = region.boundaries, light.draw(mi.Point2f(0.2, 0.5), 1.0)
-    own, again, free = (
-        prepared.lit(body, region, point)[1] for point in (on_it, replace(on_it), replace(on_it, shape=None))
+    """That shape is not in the way of its own light, but may be for a light in the same place."""
+    lamp = {"type": "sphere", "center": [0, 0, 3], "emitter": {"type": "area"}}
+    body = build.mesh_shape(bumpy_sphere(2, 0.2), tmp_path / "m.ply")
+    prepared = lit.Prepared(
+        mi.load_dict({"type": "scene", "body": body, "lamp": lamp}), options.Options(), lambda: 0, Kept()
     )
+    (region,), (light,) = prepared.scene.regions, prepared.scene.lights
+    on_it = light.draw(mi.Point2f(0.5, 0.98), 1.0)
+    assert on_it.L.numpy()[2] < 2.1  # where it faces the body
+    points = on_it, replace(on_it), replace(on_it, shape=None)
+    own, again, free = (prepared.lit(region.boundaries[0], region, point)[1] for point in points)
     assert own is again
     assert np.array(own.proven_lit).sum() > 1.1 * np.array(free.proven_lit).sum()
