@@ -91,9 +91,9 @@ def test_patches_of_a_ball(rgb, tmp_path):
     )
     body = scene.bodies[0]
     levels = coarse.levels(body, 0.05, 0.6)
-    assert len(levels) > 4 and levels[-1].of(body, scene) is body
+    assert len(levels) > 4 and levels[-1].of(body, scene, Kept().once) is body
     for level in levels[:-1]:
-        found = level.of(body, scene)
+        found = level.of(body, scene, Kept().once)
         assert found.stands_for is body and found.triangle_count == level.triangles
         tri = triangle.gather(triangle.Patches(mi.Float(found.packed())), dr.arange(mi.UInt32, level.triangles))
         edges = np.linalg.norm(found.corners - np.roll(found.corners, 1, axis=1), axis=2)

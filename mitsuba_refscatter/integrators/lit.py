@@ -14,7 +14,8 @@ from ..culling.spindle import Spindle
 from ..estimators import curve, interval, point, straight
 from ..estimators.lighting import Lighting, Sums
 from ..geometry import triangle
-from ..scene import coarse, holds, read, region_of_camera
+from ..kept import BeamsKey, ChoiceKey, LevelsKey, RecordsKey, TreeKey, digest
+from ..scene import coarse, holds, parameters, read, region_of_camera
 from ..scene import lights as light_points
 from ..sequence import LIGHT, Sequence
 from ..wavefront import Segments
@@ -28,7 +29,7 @@ class Prepared:
     drawn, the numbers that ``seed()`` gives. ``straight``: whether light is never refracted; ``whole``: whether it is for a whole image."""
 
     def __init__(self, scene, opt, seed, kept, straight=False, changes=None):
-        self.kept, self.whole = kept, False
+        self.kept, self._given, self.whole = kept, scene, False
         kept.next_round()
         self.scene = read(scene, opt.tolerance, kept, straight)
         self.accuracy = replace(tolerances.accuracy(opt.tolerance), **(changes or {}))
@@ -42,7 +43,7 @@ class Prepared:
         self.sequence = Sequence(seed()) if drawn else None
 
     def once(self, make, *key):
-        """What ``make()`` makes at the first use of ``key``."""
+        """What ``make()`` makes in this render at the first use of ``key``, which need not name the scene, the camera or options."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]
@@ -67,7 +68,7 @@ class Prepared:
 
     def pace(self, body):
         """``wavefront.Pace`` for a body."""
-        return self.once(wavefront.Pace, "pace", body.first_record, *body.key)
+        return self.once(wavefront.Pace, "pace", body.index, body.key)
 
     def through_media(self, body):
         """Whether light comes to a boundary through a medium or straight through other boundaries."""
@@ -78,31 +79,46 @@ class Prepared:
         """The packed triangles of a body, and maybe others."""
         if body.stands_for is None:
             return self.scene.records
-        return self.kept.once(lambda: triangle.Patches(lanes.array(mi.Float, body.packed())), "records", *body.key)
+        return self.kept.once(lambda: triangle.Patches(lanes.array(mi.Float, body.packed())), self._records_key(body))
+
+    def _records_key(self, body):
+        return self.scene.records_key if body.stands_for is None else RecordsKey((body.key,))
 
     def instead(self, body, region, light, light_point, stretch, sigma_t):
         """The body, or one with a coarser mesh that refracts the light of a ``light`` as well as the tolerance asks for."""
         error = self.accuracy.coarse
         if error == 0 or self.culling != "beams" or self.estimator is not curve or light.exact is None:
             return body  # of a light of many points the error at one of them says little about the others
-        levels = self.kept.once(lambda: coarse.levels(body, *coarseness.turns(error)), "levels", error, *body.key)
-
-        def measure(i, j):
-            some = coarseness.some(dr.width(stretch.t_max))
-            part = stretch.gather(some)
-            segments = part.segments(body.centre, lanes.of(sigma_t, some))
-            a, b = (
-                coarseness.radiance(segments, part.weight, *self.lit(levels[k].of(body, self.scene), region, light_point, part.wavelengths),
-                                    self.accuracy, self.estimator)
-                for k in (i, j)
-            )  # fmt: skip
-            return coarseness.relative(np.abs(a - b), b)
+        turns = coarseness.turns(error)
+        levels = self.kept.once(lambda: coarse.levels(body, *turns), LevelsKey(body.key, *turns))
+        if len(levels) == 1:
+            return body
+        once = self.once if self.scene.geometry is None else self.kept.once
 
         def choose():
-            return coarseness.suitable([level.turn for level in levels], error, measure)
+            some = coarseness.some(dr.width(stretch.t_max))
+            part, extinction = stretch.gather(some), lanes.of(sigma_t, some)
 
-        chosen = 0 if len(levels) == 1 else self.kept.once(choose, "coarse", error, light.index, *body.key)
-        return levels[chosen].of(body, self.scene)
+            def radiance(level):
+                lit = self.lit(level.of(body, self.scene, once), region, light_point, part.wavelengths)
+                segments = part.segments(body.centre, extinction)
+                return coarseness.radiance(segments, part.weight, *lit, self.accuracy, self.estimator)
+
+            def measure(i, j):
+                a, b = radiance(levels[i]), radiance(levels[j])
+                return coarseness.relative(np.abs(a - b), b)
+
+            measured_on = *vars(part).values(), extinction
+            dr.eval(measured_on)
+            place = body.key, region.index, light.index
+            key = ChoiceKey(self._given, self._parameters(), digest(*measured_on), *place, self.accuracy)
+            return self.kept.once(lambda: coarseness.suitable([x.turn for x in levels], error, measure), key)
+
+        chosen = self.once(choose, "choice", body.index, body.key, region.index, light.index)
+        return levels[chosen].of(body, self.scene, once)
+
+    def _parameters(self):
+        return self.once(lambda: parameters(self._given), "parameters")
 
     def shadows(self, body, light_point):
         """``visibility.Shadows`` of a light point."""
@@ -136,38 +152,39 @@ class Prepared:
 
         def make():
             shadows = self.shadows(body, light_point)
-            return shadows, self._culling(body, shadows.light, shadows)
+            return shadows, self._culling(body, shadows)
 
-        shadows, culling = make() if key is None else self.once(make, "lit", body.first_record, key, *body.key)
+        shadows, culling = make() if key is None else self.once(make, "lit", body.index, body.key, key)
         return self.lighting(body, region, light_point, shadows, wavelengths), culling
 
     def _clearance(self, body):
-        corners, place = body.corners - body.centre, (body.first_record, *body.key, *self.scene.key)
-        return self.kept.once(lambda: Clearance(self.scene.records, body.first_record, corners), "clearance", *place)
+        corners, key = body.corners - body.centre, TreeKey("clearance", self.scene.records_key, body.first_record)
+        return self.kept.once(lambda: Clearance(self.scene.records, body.first_record, corners), key)
 
-    def _culling(self, body, source, shadows):
-        records, place = self.records(body), (body.first_record, *body.key, *self.scene.key)
+    def _culling(self, body, shadows):
+        records, key, source = self.records(body), self._records_key(body), shadows.light
         if self.culling == "spindle":
-            return self.kept.once(lambda: Spindle(body, records), "spindle", *place)
+            return self.kept.once(lambda: Spindle(body, records), TreeKey("spindle", key, body.first_record))
+        if self.scene.geometry is None or dr.width(source.L) > 1:
+            return self._beams(body, shadows)
+        key = BeamsKey(
+            body=body.key, records=key, first_record=body.first_record, geometry=self.scene.geometry,
+            distant=source.distant, L=tuple(np.array(source.L).ravel().tolist()), emitter=shadows.emitter,
+            lit=shadows.lit is not None, accuracy=self.accuracy,
+        )  # fmt: skip
+        return self.kept.once(lambda: self._beams(body, shadows), key)
 
-        def beams():
-            return self._beams(body, records, place, source, shadows)
-
-        if self.scene.obstacles is None or dr.width(source.L) > 1:
-            return beams()
-        reach = (body.size, *body.box_low, *body.box_high)
-        light = (source.distant, *np.array(source.L).ravel().tolist())
-        how = (self.accuracy.bend, self.accuracy.samples_visibility, shadows.lit is None)
-        return self.kept.once(beams, "beams", *place, *reach, *light, *how, *self.scene.obstacles)
-
-    def _beams(self, body, records, place, source, shadows):
+    def _beams(self, body, shadows):
         clear = None
         if shadows.may_prove_inside and self.accuracy.samples_visibility:
-            clear = estimate(lambda P, Ng, omega: shadows.reach(P, Ng, omega, None), source)
+            clear = estimate(lambda P, Ng, omega: shadows.reach(P, Ng, omega, None), shadows.light)
         elif shadows.may_prove_inside:
             clear = self._clearance(body.stands_for or body).clear
-        order = self.kept.once(lambda: light_beams.order_of(body), "order", *place)
-        return light_beams.build(body, records, order, source, self.accuracy.bend, shadows.seen, clear)
+        key = TreeKey("order", self._records_key(body), body.first_record)
+        order = self.kept.once(lambda: light_beams.order_of(body), key)
+        return light_beams.build(
+            body, self.records(body), order, shadows.light, self.accuracy.bend, shadows.seen, clear
+        )
 
 
 @dataclass

@@ -79,7 +79,7 @@ class PhotonIntegrator(RefscatterIntegrator):
     def _cloud(self, prepared, region, body, number, rng):
         """``photons.Cloud`` of all lights behind a boundary in pass ``number``; None if it is not lit."""
         opt, lights, shot = self.options, prepared.scene.lights, []
-        targets = [prepared.once(lambda: _target(prepared, region, body, light), "target", body.first_record, light.index)
+        targets = [prepared.once(lambda: _target(prepared, region, body, light), "target", body.index, body.key, light.index)
                    for light in lights]  # fmt: skip
         total = sum(target.flux for target in targets if target is not None)
         for light, target in zip(lights, targets):

@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import lanes, tolerances
 from ..geometry import mesh as mesh_facts
-from ..kept import fingerprint
+from ..kept import RecordsKey, digest, fingerprint
 from . import bodies as body_reader
 from . import lights as light_reader
 from . import shapes
@@ -35,8 +35,8 @@ class Scene:
     ``inside``, ``outside``: tables for lookups in kernels, as ``index2`` and ``owner`` by region: square of the index of refraction
     relative to the outermost, and the closed body whose inside it is, or NONE; ``thin``, ``straight``: the same where some boundary is, else
     None (``straight``: what crossing it counts for, 1 or ``ONCE``; 0 if light can't); ``passed``: the bodies that light goes straight through;
-    ``others``: the shapes that are no bodies; ``obstacles``: what tells whether one of these changed, or None where that is not known; ``mirrors``: largest coordinates of those that are mirrors, or None; ``key``: what ``records``
-    were made from.
+    ``others``: the shapes that are no bodies; ``mirrors``: largest coordinates of those that are mirrors, or None; ``records_key``: what
+    ``records`` were made from; ``geometry``: what tells whether any shape moved or changed its form, or None where that is not known.
     """
 
     mi_scene: object
@@ -57,9 +57,9 @@ class Scene:
     straight: object
     passed: list
     others: list
-    obstacles: object
     mirrors: object
-    key: tuple
+    records_key: RecordsKey
+    geometry: tuple
 
     def find(self, shape):
         """Index of the body of each shape pointer, or NONE; a null pointer is no body."""
@@ -148,11 +148,10 @@ def read(scene, tolerance, kept, straight=False):
     lights = light_reader.read(scene, bodies, any(region.scatters for region in regions))
     passed = [body for body in bodies if straight or not body.refracts]
     packed = bodies + _boundaries(bodies, passed, regions, lights)
-    key = tuple(body.key for body in packed)
+    key = RecordsKey(tuple(body.key for body in packed))
     return Scene(
         mi_scene=scene, bodies=bodies, regions=regions, lights=lights,
-        records=kept.once(lambda: lanes.array(mi.Float, np.concatenate([body.packed() for body in packed] or [np.zeros(24)])),
-                          "records", *key),
+        records=kept.once(lambda: lanes.array(mi.Float, np.concatenate([body.packed() for body in packed] or [np.zeros(24)])), key),
         body_of_shape=_per_shape(scene, mi.UInt32, NONE, {shape_number(body.shape): body.index for body in bodies}),
         **{key: lanes.array(kind, [getattr(body, key) for body in bodies] or [0])
            for key, kind in (("eta", mi.Float), ("first_record", mi.UInt32), ("extent", mi.Float),
@@ -164,8 +163,8 @@ def read(scene, tolerance, kept, straight=False):
         straight=lanes.array(mi.UInt32, [(body in passed) * (ONCE if body.refracts else 1) for body in bodies]) if passed else None,
         passed=passed,
         others=others,
-        obstacles=_obstacles(others),
-        key=key,
+        records_key=key,
+        geometry=_geometry(key, others),
         mirrors=_per_shape(scene, mi.Float, 0, {shape_number(shape): _extent(shape) for shape in others if _is_mirror(shape)})
         if any(map(_is_mirror, others)) else None,
     )  # fmt: skip
@@ -191,17 +190,24 @@ def _indices(bodies, regions):
     return index
 
 
-def _obstacles(others):
-    """A tuple that changes with the place and form of shapes; None if there is one of a kind for which that is not known."""
-    out = []
+def _geometry(bodies, others):
+    """A tuple that changes with the place and form of shapes, of ``bodies`` by their key; None if there is one of a kind for which that
+    is not known."""
+    out = [bodies]
     for shape in others:
+        kind = shape.class_name()
         if shape.is_mesh():
-            out += fingerprint(shape.faces_buffer(), shape.vertex_positions_buffer())
-        elif shape.class_name() in shapes.PROBES:
-            out += np.array(mi.traverse(shape)["to_world"].matrix).ravel().tolist()
+            out.append(fingerprint(shape.faces_buffer(), shape.vertex_positions_buffer()))
+        elif kind in shapes.PROBES:
+            out.append((kind, digest(mi.traverse(shape)["to_world"].matrix)))
         else:
             return None
     return tuple(out)
+
+
+def parameters(scene):
+    """Digest of all that can be changed in a ``mi.Scene``."""
+    return digest(*(x for key, value in mi.traverse(scene) for x in (key, getattr(value, "matrix", value))))
 
 
 def _per_shape(scene, kind, default, values):
@@ -316,6 +322,6 @@ def refuse_gradients(scene):
 
 
 __all__ = [
-    "NONE", "ONCE", "REFUSED", "Scene", "SceneError", "holds", "hole_refusal", "name_shape", "read", "refusal", "refuse_gradients", "region_of_camera",
-    "side_refusal",
+    "NONE", "ONCE", "REFUSED", "Scene", "SceneError", "holds", "hole_refusal", "name_shape", "parameters", "read", "refusal",
+    "refuse_gradients", "region_of_camera", "side_refusal",
 ]  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 from .. import tolerances
 from ..geometry import mesh as mesh_facts
 from ..geometry import triangle
-from ..kept import fingerprint
+from ..kept import BodyKey, fingerprint
 from ..lanes import NONE  # no body; the region that has no medium and is no body's inside
 from .errors import SceneError, name_edge, name_part, name_place, name_shape
 from .support import BOUNDARIES, PERTURBED, refusal
@@ -26,7 +26,7 @@ class Body:
     (F, 3); ``corner_normals`` (F, 3, 3); ``twin``: of each directed edge (``mesh.twins``); ``closed``: whether the mesh is;
     ``first_record``: of its triangles in ``Scene.records``; ``centre``: 3 floats; ``box``: of the mesh, world;
     ``box_low``, ``box_high``: of what its light can reach, body coordinates; ``size``: diagonal of that, or where it has no
-    end the length that matters; ``extent``: largest coordinate, world; ``key``: what it was made from (``kept.Kept``);
+    end the length that matters; ``extent``: largest coordinate, world; ``key``: what all of this but names, numbers and tints follows from;
     ``faces``: (F, 3) indices of vertices with one position and normal each, or None where normals are those of facets;
     ``stands_for``: where it has a coarser mesh, of patches, the body; ``bulge``: what is then to be added to linear positions and normals
     in the middles of the triangles' edges 01, 12, 20, (F, 2, 3, 3);
@@ -52,7 +52,7 @@ class Body:
     box_high: list
     size: float
     tints: dict
-    key: tuple
+    key: BodyKey
     faces: object
     stands_for: object = None
     bulge: object = None
@@ -89,7 +89,8 @@ class Body:
         """The same where light goes on for the distance ``reach`` behind it."""
         low, high = (np.array(x) for x in (self.box_low, self.box_high))
         size = min(self.size + reach, tolerances.REACH_SIZE * self.size)
-        return replace(self, box_low=(low - reach).tolist(), box_high=(high + reach).tolist(), size=size)
+        return replace(self, box_low=(low - reach).tolist(), box_high=(high + reach).tolist(), size=size,
+                       key=replace(self.key, reach=reach))  # fmt: skip
 
     def flipped(self, first_record):
         """The same boundary seen from its other side: light from the inside, refracted to the outside. Its triangles must
@@ -103,7 +104,8 @@ class Body:
         return replace(
             self, eta=1 / self.eta, corners=self.corners[:, turned], normals=-self.normals, closed=False, convex=False,
             corner_normals=-self.corner_normals[:, turned], twin=np.where(twin < 0, -1, new_of_old[twin]),
-            faces=None if self.faces is None else self.faces[:, turned], first_record=first_record, inside=self.outside, outside=self.inside, key=("flipped", *self.key),
+            faces=None if self.faces is None else self.faces[:, turned], first_record=first_record, inside=self.outside, outside=self.inside,
+            key=replace(self.key, flipped=True),
         )  # fmt: skip
 
 
@@ -140,9 +142,10 @@ def read(shape, kind, index, first_record, kept):
     if not shape.is_mesh():
         raise refusal("shape", name, shape=shape.class_name().lower())
     eta, tints = _properties(shape.bsdf(), kind, name)
-    key = ("body", kind, eta, shape.has_vertex_normals(), shape.has_face_normals(), shape.has_flipped_normals(),
-           *fingerprint(shape.faces_buffer(), shape.vertex_positions_buffer(), shape.vertex_normals_buffer()))  # fmt: skip
-    body = kept.once(lambda: _read(shape, kind, eta, name, key), *key)
+    has = shape.has_vertex_normals(), shape.has_face_normals(), shape.has_flipped_normals()
+    buffers = shape.faces_buffer(), shape.vertex_positions_buffer(), shape.vertex_normals_buffer()
+    key = BodyKey(kind, eta, has, fingerprint(*buffers))
+    body = kept.once(lambda: _read(shape, kind, eta, name, key), key)
     return replace(body, name=name, shape=shape, index=index, first_record=first_record, tints=tints)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from .. import lanes, tolerances
 from ..geometry import decimation, triangle
 from ..geometry import mesh as mesh_facts
+from ..kept import PatchesKey, digest
 
 QUARTER = 4
 """Levels from one to that with a quarter of its triangles."""
@@ -25,7 +26,7 @@ TURNS = tolerances.COARSEST_TURN * 0.5 ** (np.arange(tolerances.COARSE_LEVELS) /
 @dataclass
 class Level:
     """A mesh that may stand for a body's: ``turn`` of the normals along its edges; ``faces``: of ``vertices`` and their ``normals``, or
-    None where it is the body's own; ``twin``: of each directed edge; ``made``: fields of ``Body``, at the first use."""
+    None where it is the body's own; ``twin``: of each directed edge; ``digest``: of the faces."""
 
     turn: float
     triangles: int
@@ -33,14 +34,15 @@ class Level:
     twin: object = None
     vertices: object = None
     normals: object = None
-    made: object = None
+    digest: bytes = b""
 
-    def of(self, body, scene):
-        """``body`` with this mesh, of patches that go through the boundary in the middles of their edges, too."""
+    def of(self, body, scene, once):
+        """``body`` with this mesh, of patches that go through the boundary in the middles of their edges, too. ``once``: that of
+        ``kept.Kept``, or of one render."""
         if self.faces is None:
             return body
-        self.made = self.made or self._fields(body, scene)
-        return replace(body, stands_for=body, **self.made)
+        fields = once(lambda: self._fields(body, scene), PatchesKey(body.key, self.digest, scene.geometry))
+        return replace(body, stands_for=body, **fields)
 
     def _fields(self, body, scene):
         corners, corner_normals = self.vertices[self.faces], self.normals[self.faces]
@@ -57,10 +59,11 @@ class Level:
         off = np.einsum(
             "fi,fi->f", off - 4 / 9 * bulge[:, :, 0].sum(axis=1), axis / np.linalg.norm(axis, axis=1, keepdims=True)
         )
+        apart = float(np.abs(off[seen]).max(initial=0.0))
         return {
             "corners": corners, "normals": triangle.geometric_normal(corners), "corner_normals": corner_normals,
             "twin": self.twin, "first_record": 0, "bulge": bulge.transpose(0, 2, 1, 3),
-            "apart": float(np.abs(off[seen]).max(initial=0.0)), "key": ("coarse", len(self.faces), *body.key),
+            "apart": apart, "key": replace(body.key, patches=digest(corners, corner_normals, bulge, apart)),
         }  # fmt: skip
 
 
@@ -121,5 +124,5 @@ def levels(body, least_turn, most_turn):
         if twin is None:
             break
         if len(coarse) <= tolerances.COARSE_WORTH * body.triangle_count:
-            own.append(Level(turn, len(coarse), coarse, twin, vertices, normals))
+            own.append(Level(turn, len(coarse), coarse, twin, vertices, normals, digest(coarse)))
     return own[::-1]

@@ -1,0 +1,194 @@
+"""What an integrator keeps from render to render follows the scene: after each change its image, and the coarse mesh that it takes, are
+those of a fresh integrator."""
+
+from dataclasses import replace
+
+import build
+import mitsuba as mi
+import numpy as np
+import pytest
+from meshes import Mesh, bumpy_sphere, triangle_grid
+from test_same_again import assert_same
+
+from mitsuba_refscatter import options
+from mitsuba_refscatter.integrators import coarseness, lit
+from mitsuba_refscatter.kept import Kept
+
+LAMP = (-2.6, 2.4, -0.9)
+
+
+def look(origin, target=(0.0, 0.0, 0.0)):
+    return mi.ScalarTransform4f().look_at(list(origin), list(target), [0.1, 1, 0.2])
+
+
+def camera(origin):
+    film = {"type": "hdrfilm", "width": 12, "height": 12}
+    return {"type": "perspective", "fov": 30, "to_world": look(origin), "film": film}
+
+
+def refscatter():
+    return mi.load_dict({"type": "refscatter", "surfaces": False, "internal_bounces": 0, "tolerance": 0.1})
+
+
+@pytest.fixture
+def ball(rgb, tmp_path):
+    """``ball(...)``: a scene whose body has coarser meshes."""
+    mesh = bumpy_sphere(4, 0.1, 4.0)
+
+    def scene(**parts):
+        body = build.mesh_shape(mesh, tmp_path / "m.ply", g=0.0)
+        cone = {"cutoff_angle": 25.0, "beam_width": 20.0, "intensity": {"type": "rgb", "value": 10.0}}
+        parts = {"light": {"type": "spot", "to_world": look(LAMP), **cone}, **parts}
+        return mi.load_dict({"type": "scene", "body": body, "sensor": camera((0, 1.1, 5.2)), **parts}, optimize=False)
+
+    return scene
+
+
+@pytest.fixture
+def render(monkeypatch):
+    """``render(integrator, scene, sensor)``: the image, and of each coarse mesh in use the number of its triangles."""
+    instead, taken = lit.Prepared.instead, []
+
+    def seen(self, body, *rest):
+        found = instead(self, body, *rest)
+        assert found is body or (found.stands_for is body and found.triangle_count < 0.2 * body.triangle_count)
+        if found.stands_for is not None:
+            taken.append(found.triangle_count)
+        return found
+
+    def render(integrator, scene, sensor=0):
+        taken.clear()
+        image = np.array(integrator.render(scene, sensor, seed=1, spp=1), dtype=np.float64)
+        return image, list(taken)
+
+    monkeypatch.setattr(lit.Prepared, "instead", seen)
+    return render
+
+
+def change(scene, key, value):
+    """Sets a parameter; what it was."""
+    parameters = mi.traverse(scene)
+    before = parameters[key]
+    before = before if isinstance(before, float) else type(before)(before)  # a copy
+    parameters[key] = value(before)
+    parameters.update()
+    return before
+
+
+CHANGES = {
+    "light": ("light.to_world", lambda t: mi.Transform4f(look((3, 2, 3)))),
+    "cone": ("light.beam_width", lambda angle: 5.0),
+    "camera": ("sensor.to_world", lambda t: mi.Transform4f(look((3, -3, 1)))),
+    "extinction": ("body.interior_medium.sigma_t.value.value", lambda x: mi.Color3f(30)),
+    "phase function": ("body.interior_medium.phase_function.g", lambda g: mi.Float(0.9)),
+    "index": ("body.bsdf.eta", lambda eta: 2.0),
+}
+
+
+def test_the_coarse_mesh_follows_the_scene(ball, render, monkeypatch):
+    """Light, camera, medium and boundary are changed one at a time. A coarse mesh is in use all the time, often another one."""
+    scene, one = ball(), refscatter()
+    # First by a camera that is no part of the scene: when it is changed for another, nothing of that changes.
+    _, by_other = render(one, scene, mi.load_dict(camera((3, -3, 1))))
+    (original, found), (fresh, levels) = render(one, scene), render(refscatter(), scene)
+    assert len(levels) == 1 and found == levels != by_other
+    assert_same(original, fresh)
+    made = dict(one.kept._now)
+    with monkeypatch.context() as context:  # the second render chooses and makes nothing
+        context.setattr(coarseness, "suitable", None)
+        assert_same(render(one, scene)[0], original)
+    assert all(made.get(key) is value for key, value in one.kept._now.items())
+    different = set()
+    for name, (key, value) in CHANGES.items():
+        before = change(scene, key, value)
+        image, found = render(one, scene)
+        fresh, wanted = render(refscatter(), scene)
+        assert len(wanted) == 1 and found == wanted, name
+        assert_same(image, fresh)
+        assert np.abs(image - original).sum() > 1e-2 * original.sum()
+        different |= {name} if wanted != levels else set()
+        change(scene, key, lambda _: before)
+    assert {"light", "camera", "extinction"} <= different
+
+
+@pytest.mark.slow
+def test_the_coarse_mesh_follows_the_accuracy(ball, render):
+    scene, one, fresh = ball(), refscatter(), refscatter()
+    _, levels = render(one, scene)
+    one.changes = fresh.changes = {"coarse": 0.3}
+    (image, found), (expected, wanted) = render(one, scene), render(fresh, scene)
+    assert found == wanted != levels
+    assert_same(image, expected)
+
+
+def assert_follows(render, first, second):
+    """One integrator renders the first and then the second scene, which may be the same object, as a fresh one does."""
+    one = refscatter()
+    before, _ = render(one, first())
+    scene = second()
+    (image, found), (fresh, wanted) = render(one, scene), render(refscatter(), scene)
+    assert found == wanted
+    assert_same(image, fresh)
+    assert np.abs(fresh - before).sum() > 1e-3 * before.sum()
+
+
+def at(scene, key, value):
+    """The scene, which gets another value of a parameter when it is called."""
+    return lambda: (change(scene, key, lambda _: value), scene)[1]
+
+
+def scaled(place, size):
+    return mi.ScalarTransform4f().translate(place) @ mi.ScalarTransform4f().scale(size)
+
+
+def test_patches_follow_what_touches_the_body(ball, render):
+    """Something on the boundary hides it from the rays that find a patch's middle."""
+    scene = ball(knob={"type": "sphere", "bsdf": {"type": "diffuse"}})
+    places = [mi.Transform4f(scaled(x, 0.45)) for x in ([-0.6, 0.5, 0.6], [5.0, 5.0, 5.0])]
+    assert_follows(render, *(at(scene, "knob.to_world", place) for place in places))
+
+
+@pytest.mark.slow
+def test_another_body_moves(ball, render):
+    scene = ball(other={"type": "sphere", "bsdf": {"type": "dielectric"}})
+    places = [mi.Transform4f(scaled(x, 0.4)) for x in ([5.0, 5.0, 5.0], [-1.5, 1.4, -0.5])]
+    assert_follows(render, *(at(scene, "other.to_world", place) for place in places))
+
+
+@pytest.mark.slow
+def test_an_obstacle_of_another_kind(ball, render):
+    """In the same place."""
+    block = {"to_world": scaled([-1.5, 1.4, -0.5], 0.4), "bsdf": {"type": "diffuse"}}
+    assert_follows(render, *(lambda kind=kind: ball(block={"type": kind, **block}) for kind in ("disk", "sphere")))
+
+
+def test_coarse_meshes_follow_how_deep_one_sees(rgb, tmp_path, render):
+    """Water without end: the size of what its surface lights depends on the medium."""
+    uv, faces = triangle_grid(40)
+    x, y = 4 * uv.T - 2
+    slope = 0.02 * np.cos(2 * x), 0.02 * np.cos(2 * y)
+    normals = np.stack([-slope[0], -slope[1], np.ones_like(x)], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    mesh = Mesh(np.stack([x, y, 0.01 * (np.sin(2 * x) + np.sin(2 * y))], axis=1), faces, normals)
+    water = build.mesh_shape(mesh, tmp_path / "water.ply", sigma_t=(0.5, 0.5, 0.5))
+    parts = {"body": water, "light": build.point_light((1, 1, 3)), "sensor": camera((0, -3, 3))}
+    scene = mi.load_dict({"type": "scene", **parts})
+    key = next(key for key, _ in mi.traverse(scene) if key.endswith("sigma_t.value.value"))
+
+    assert_follows(render, *(at(scene, key, mi.Color3f(x)) for x in (100.0, 0.5)))
+
+
+def test_beams_of_a_point_on_a_shape(rgb, tmp_path):
+    """That shape is not in the way of its own light, but may be for a light in the same place."""
+    lamp = {"type": "sphere", "center": [0, 0, 3], "emitter": {"type": "area"}}
+    body = build.mesh_shape(bumpy_sphere(2, 0.2), tmp_path / "m.ply")
+    prepared = lit.Prepared(
+        mi.load_dict({"type": "scene", "body": body, "lamp": lamp}), options.Options(), lambda: 0, Kept()
+    )
+    (region,), (light,) = prepared.scene.regions, prepared.scene.lights
+    on_it = light.draw(mi.Point2f(0.5, 0.98), 1.0)
+    assert on_it.L.numpy()[2] < 2.1  # where it faces the body
+    points = on_it, replace(on_it), replace(on_it, shape=None)
+    own, again, free = (prepared.lit(region.boundaries[0], region, point)[1] for point in points)
+    assert own is again
+    assert np.array(own.proven_lit).sum() > 1.1 * np.array(free.proven_lit).sum()
