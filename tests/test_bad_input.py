@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from faults import BALL, Maker, amber, moved, refused, render, sensor, with_faces
 from meshes import Mesh
+from test_cli import HANGS
 
 from mitsuba_refscatter import platform
 
@@ -219,7 +220,7 @@ def test_command_keeps_the_earlier_picture(rgb, tmp_path, name):
     before = sorted(p.name for p in tmp_path.iterdir())
     command = [sys.executable, "-m", "mitsuba_refscatter", "render", "scene.xml", "-o", "out.exr"]
     environment = {**os.environ, "COLUMNS": "300", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=environment)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=HANGS, cwd=tmp_path, env=environment)
     told = [line for line in done.stderr.splitlines() if line.startswith("refscatter: ")]
     assert done.returncode == 1 and len(told) == 1 and "Traceback" not in done.stderr, done.stderr
     for word in words:

@@ -13,7 +13,8 @@ from build import point_light
 from comparison import check, compare
 from test_cli import SPHERE, assert_one_sentence, needs_variant, refscatter
 
-from mitsuba_refscatter.compare import methods, race, suite
+from mitsuba_refscatter import platform, scenes
+from mitsuba_refscatter.compare import duel, methods, race, suite
 
 QUICK = ("--seconds", 0.1, "-D", "res=16", "-D", "spp=1")
 
@@ -38,9 +39,8 @@ def test_compare_writes_a_report(tmp_path, names):
         assert (header["scene"], header["spp"]) == ("sphere", row["samples"]) and row["settings"]["type"] in header[
             "integrator"
         ]
-    by_name = {row["method"]: row for row in data["rows"]}
-    assert by_name["refscatter"]["relmse"] < by_name["straight_line"]["relmse"]
-    assert by_name["refscatter"]["seconds_to_first"] == by_name["refscatter"]["wall_seconds"]
+    first = data["rows"][0]
+    assert first["method"] == "refscatter" and first["seconds_to_first"] == first["wall_seconds"]
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert all(name in page for name in names) and "Bidirectional" in page
     assert not re.findall(r"(?:src|href)=[\"'](?!data:)", page)
@@ -48,19 +48,76 @@ def test_compare_writes_a_report(tmp_path, names):
     assert (tmp_path / "reference.exr").exists() and (tmp_path / "refscatter.png").exists()
 
 
+@pytest.fixture(scope="module")
+def subject():
+    mi.set_variant(platform.default_variant())
+    return duel.Subject.of("sphere", lambda: scenes.load(SPHERE, res="16"))
+
+
+@pytest.fixture(scope="module")
+def truth(subject):
+    """The image of 64 samples per pixel at the tolerance of references."""
+    settings = {**methods.METHODS["refscatter"], **race.Setup("").common, "tolerance": race.REFERENCE_TOLERANCE}
+    return np.array(mi.load_dict(settings).render(subject.load(), seed=race.REFERENCE_SEED, spp=64), dtype=float)
+
+
+@pytest.fixture
+def by_samples(monkeypatch):
+    """Races on whose clock each sample per pixel takes a second, however busy the machine is."""
+
+    class Clock(race._Clock):
+        samples = 0
+
+        def go_on(self):
+            pass
+
+        def pause(self):
+            self.wall = self.cpu = float(self.samples)
+
+    class Follower(race._Follower):
+        def __call__(self, samples, image):
+            self.clock.samples = samples
+            return super().__call__(samples, image)
+
+    for name, value in (("_Clock", Clock), ("_Follower", Follower), ("_timed", lambda *work: 1.0)):
+        monkeypatch.setattr(race, name, value)
+
+
 @needs_variant
-def test_compare_with_a_given_reference_and_equal_quality(tmp_path):
-    """The reference is the image given, here one that is twice too bright: the bias says so. ``--equal-quality`` goes on longer."""
-    done = refscatter("compare", SPHERE, *QUICK, "--methods", "refscatter", "-o", tmp_path / "a")
+def test_with_as_many_samples_ours_is_nearest(rgb, subject, truth, by_samples):
+    """The straight line computes another image; ``volpath`` is noisy."""
+    names = ["refscatter", "straight_line", "volpath"]
+    rows = duel.compare(subject, names, race.Setup(rgb, seconds=8.0), truth).rows
+    assert [(row["method"], row["samples"], row["wall_seconds"]) for row in rows] == [(name, 8, 8.0) for name in names]
+    ours, straight, volpath = (row["relmse"] for row in rows)
+    assert ours < straight / 4 and ours < volpath / 4
+    assert abs(rows[0]["bias"]) < 0.02 and rows[1]["bias"] < -0.2
+    assert [t for t, _ in rows[0]["curve"]] == [1, 2, 4, 8]
+
+
+@needs_variant
+@pytest.mark.parametrize(("names", "ends"), [(["refscatter", "straight_line"], [4, race.LONGEST * 4]),
+                                             (["straight_line", "refscatter"], [4, 4])])  # fmt: skip
+def test_equal_quality_goes_on_longer(rgb, subject, truth, by_samples, names, ends):
+    """Up to ``LONGEST`` where the quality of the first method is not reached: not by the straight line."""
+    rows = duel.compare(subject, names, race.Setup(rgb, seconds=4.0, equal_quality=True), truth).rows
+    assert [row["samples"] for row in rows] == [4, 4]
+    assert [row["curve"][-1][0] for row in rows] == ends
+
+
+@needs_variant
+def test_compare_with_a_given_reference_and_equal_quality(tmp_path, truth):
+    """The reference is the image given, here one that is twice too bright: the bias says so, with one sample as with many. Both
+    hold however few samples there is time for: a straight line is farther from that image than one sample of ours."""
+    mi.Bitmap((2 * truth).astype(np.float32)).write(str(tmp_path / "twice.exr"))
+    done = refscatter("compare", SPHERE, *QUICK, "--methods", "refscatter,straight_line", "--reference", tmp_path / "twice.exr",
+                      "--equal-quality", "-o", tmp_path / "out")  # fmt: skip
     assert done.returncode == 0, done.stderr
-    image = np.array(mi.Bitmap(str(tmp_path / "a" / "reference.exr")))
-    mi.Bitmap(2 * image).write(str(tmp_path / "twice.exr"))
-    again = refscatter("compare", SPHERE, *QUICK, "--methods", "refscatter,straight_line", "--reference", tmp_path / "twice.exr",
-                       "--equal-quality", "-o", tmp_path / "b")  # fmt: skip
-    assert again.returncode == 0, again.stderr
-    rows = json.loads((tmp_path / "b" / "results.json").read_text())["rows"]
-    assert rows[0]["bias"] == pytest.approx(-0.5, abs=0.02)
-    assert rows[1]["curve"][-1][0] >= race.LONGEST * 0.1 / race.GROWTH > rows[0]["curve"][-1][0]
+    np.testing.assert_array_equal(*(mi.Bitmap(str(tmp_path / x)) for x in ("twice.exr", "out/reference.exr")))
+    first, second = json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
+    assert first["bias"] == pytest.approx(-0.5, abs=0.02)
+    assert all(t < first["seconds"] for t, _ in first["curve"][:-1])
+    assert second["curve"][-1][0] >= race.LONGEST * second["seconds"] / race.GROWTH
 
 
 @needs_variant
@@ -147,11 +204,14 @@ def test_the_suite_can_be_made(rgb, tmp_path):
 @pytest.mark.slow
 @needs_variant
 def test_gallery(tmp_path):
-    """Three strips: four tiles, two rows of four, one tile per method, all of them with light."""
+    """Three strips: four tiles, two rows of four, one tile per method, all of them with light but that of ``volpath``, which may find
+    nothing so soon."""
     done = refscatter("gallery", "--resolution", 12, "--samples", 1, "--seconds", 0.1, "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     for name, rows, columns in (("scenes", 1, 4), ("densities", 2, 4), ("methods", 1, len(methods.METHODS))):
         image = np.array(mi.Bitmap(str(tmp_path / f"{name}.png")))
         assert image.shape == (16 * rows - 4, 16 * columns - 4, 3)
         tiles = [image[16 * i : 16 * i + 12, 16 * j : 16 * j + 12] for i in range(rows) for j in range(columns)]
+        if name == "methods":
+            tiles.pop(list(methods.METHODS).index("volpath"))
         assert min(tile.max() for tile in tiles) > 60, [tile.max() for tile in tiles]

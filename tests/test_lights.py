@@ -104,14 +104,19 @@ def fog(phase_g, light):
     return scene, scene.sensors()[0].get_medium()
 
 
+def rays_around(light, origin):
+    """200 rays in all directions, some of them close by the light."""
+    o, rng = np.tile(origin, (200, 1)), np.random.default_rng(8)
+    d = rng.normal(size=(200, 3))
+    d[:40] = light - o[:40] + 10.0 ** rng.uniform(-4, -1, (40, 1)) * d[:40]  # misses it by 1e-4 to 0.1
+    return build.rounded(o), build.rounded(d / np.linalg.norm(d, axis=1, keepdims=True))
+
+
 @pytest.mark.parametrize("g", [None, 0.9, -0.7])
 def test_airlight(g):
     """Camera and light in one unbounded medium: rays towards and away from the light, and close by it."""
-    light, o = np.array([0.5, -0.3, 2.0]), np.tile([0.0, 0.2, -1.0], (200, 1))
-    rng = np.random.default_rng(8)
-    d = rng.normal(size=(200, 3))
-    d[:40] = light - o[:40] + 10.0 ** rng.uniform(-4, -1, (40, 1)) * d[:40]  # misses it by 1e-4 to 0.1
-    d, o = build.rounded(d / np.linalg.norm(d, axis=1, keepdims=True)), build.rounded(o)
+    light = np.array([0.5, -0.3, 2.0])
+    o, d = rays_around(light, (0.0, 0.2, -1.0))
     scene, medium = fog(g, light)
     ours = build.single_scattering(scene, o, d, medium=medium, tolerance=1e-3)
     sigma_s, sigma_t = sigma()
@@ -120,6 +125,23 @@ def test_airlight(g):
     truth = closed_forms.airlight_radiance(
         sigma_s, sigma_t, g or 0.0, light, np.full(3, 10.0), o, d, np.full(200, 60.0)
     )
+    assert error(ours, truth).max() < 1e-3
+
+
+def test_airlight_in_glass():
+    """Camera and light in a cube of glass. Past the light rays see it so close that the variance of volpath is infinite."""
+    light = np.array([0.2, 0.1, 0.0])
+    o, d = rays_around(light, (0.0, 0.2, 0.9))
+    sensor = {"type": "perspective", "medium": {"type": "ref", "id": "amber"}}
+    cube = {"type": "cube", "bsdf": glass(1.3), "interior": {"type": "ref", "id": "amber"}}
+    scene = mi.load_dict(
+        {"type": "scene", "a": amber(), "sensor": sensor, "cube": cube, "light": build.point_light(light)}
+    )
+    medium = scene.sensors()[0].get_medium()
+    ours = build.single_scattering(scene, o, d, medium=medium, internal_bounces=0, tolerance=1e-3)
+    d = d / np.linalg.norm(d, axis=1, keepdims=True)
+    ends = ((np.sign(d) - o) / d).min(axis=1)
+    truth = closed_forms.airlight_radiance(*sigma(), 0.0, light, np.full(3, 10.0), o, d, ends)
     assert error(ours, truth).max() < 1e-3
 
 

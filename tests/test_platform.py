@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from test_cli import HANGS
 
 from mitsuba_refscatter import platform
 
@@ -13,7 +14,7 @@ from mitsuba_refscatter import platform
 def python(code, **environment):
     """Run code in a fresh interpreter, with some environment variables set."""
     return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env={**os.environ, **environment}
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=HANGS, env={**os.environ, **environment}
     )
 
 

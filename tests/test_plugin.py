@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from comparison import z_values
 from meshes import bumpy_sphere
+from test_cli import HANGS
 
 import mitsuba_refscatter
 from mitsuba_refscatter import tolerances
@@ -249,13 +250,13 @@ def test_both_import_orders(package_first, body):
     lines = ["import mitsuba_refscatter", "mi.set_variant('llvm_ad_rgb')"]
     first, second = lines if package_first else lines[::-1]
     script = textwrap.dedent(SCRIPT.format(first=first, second=second, tests=sys.path[0], body=body))
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=HANGS)
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith("rendered\n")
 
 
 def test_import_needs_no_variant_and_sets_none():
     script = "import mitsuba as mi, mitsuba_refscatter; print(mi.variant(), mitsuba_refscatter.__version__)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=HANGS)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["None", mitsuba_refscatter.__version__]

@@ -3,6 +3,7 @@
 import json
 import re
 
+import closed_forms
 import mitsuba as mi
 import numpy as np
 import oracle
@@ -230,18 +231,43 @@ def test_the_command_says_what_is_wrong(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def probe_with(loaded, lights, **options):
+    """The probe of a loaded scene with these lights in place of its own, if there are any."""
+    shapes = {f"shape{i}": shape for i, shape in enumerate(loaded.shapes())}
+    lamps = {f"light{i}": light for i, light in enumerate(lights or loaded.emitters())}
+    scene = mi.load_dict({"type": "scene", "sensor": loaded.sensors()[0], **shapes, **lamps})
+    return mitsuba_refscatter.probe(scene, *PIXEL, **options)
+
+
+LAMP_INSIDE = (0.2, 0.3, 0.1)
+
+
+@needs_variant
+def test_light_inside_gives_airlight(rgb, scene_file):
+    """A light in the body reaches the segment straight: its parts, and all of it, are those of the airlight integral."""
+    loaded, intensity, n = scenes.load(scene_file, res="64"), np.array([10.0, 6.0, 3.0]), 64
+    body = oracle_body(loaded)
+    probe = probe_with(loaded, [point_light(LAMP_INSIDE, intensity)], parts=n)
+    segment = probe.segments[probe.segment]
+    t = np.arange(n)[:, None] * segment.length / n
+    o, d, length = segment.origin + t * segment.direction, np.tile(segment.direction, (n, 1)), segment.length / n
+    medium = body.sigma_s, body.sigma_t, body.g
+    expected = closed_forms.airlight_radiance(*medium, np.array(LAMP_INSIDE), intensity, o, d, np.full(n, length))
+    expected *= segment.weight * np.exp(-body.sigma_t * t)
+    np.testing.assert_allclose(probe.radiance * length, expected, rtol=2e-4)
+    np.testing.assert_array_equal(probe.straight, probe.radiance)
+    for found in (probe.integral, probe.estimated):
+        np.testing.assert_allclose(found, expected.sum(axis=0), rtol=1e-4)
+
+
 @needs_variant
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["spindle", "inside", "several"])
 def test_other_lights_and_the_other_culling(rgb, scene_file, case, tmp_path):
     """The integral is the estimator's: with the culling ``spindle``, a light inside of the body, which reaches the segment straight, and several lights."""
     sun = {"type": "directional", "direction": [0.3, -1, 0.2], "irradiance": {"type": "rgb", "value": [1, 1, 2]}}
-    lights = {"spindle": [], "inside": [point_light((0.2, 0.3, 0.1))], "several": [point_light((-3, 2, 1)), sun]}[case]
-    loaded = scenes.load(scene_file, res="64")
-    shapes = {f"shape{i}": shape for i, shape in enumerate(loaded.shapes())}
-    lamps = {f"light{i}": light for i, light in enumerate(lights or loaded.emitters())}
-    scene = mi.load_dict({"type": "scene", "sensor": loaded.sensors()[0], **shapes, **lamps})
-    probe = mitsuba_refscatter.probe(scene, *PIXEL, culling="spindle" if case == "spindle" else "beams")
+    lights = {"spindle": [], "inside": [point_light(LAMP_INSIDE)], "several": [point_light((-3, 2, 1)), sun]}[case]
+    probe = probe_with(scenes.load(scene_file, res="64"), lights, culling="spindle" if case == "spindle" else "beams")
     np.testing.assert_allclose(probe.integral, probe.estimated, rtol=2e-3)
     assert probe.integral.min() > 0 and (probe.straight.any() == (case == "inside"))
     refracted = {"spindle": {0}, "inside": set(), "several": {0, 1}}[case]

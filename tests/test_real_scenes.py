@@ -143,8 +143,9 @@ PLACES = {
                                depth=3, medium=dense, options=OWN, ours=(8, 16), theirs=(24, 512)),
     "light inside": Case(lambda: {"light": ball_light((0.2, 0.1, 0), 0.3), "body": cube(glass(1.3))},
                          depth=3, options=OWN, ours=(8, 64), theirs=(24, 64)),
-    "both inside": Case(lambda: {"light": point_light((0.2, 0.1, 0)), "body": cube(glass(1.3)),
-                                 "sensor": camera((0, 0.2, 0.9), fov=60, medium=WITHIN)}, theirs=(24, 512)),
+    # Not in view: past a point light in view volpath's variance is infinite (test_lights.test_airlight_in_glass).
+    "both inside": Case(lambda: {"light": point_light((-0.8, 0.2, 0.8)), "body": cube(glass(1.3)),
+                                 "sensor": camera((0, 0.2, 0.9), fov=60, medium=WITHIN)}),
     "no boundary": Case(lambda: {"light": point_light((0.2, 2.6, 1.5)), "sensor": camera(medium=WITHIN)}, medium=endless,
                         theirs=(24, 512)),
     "light in a bubble": Case(

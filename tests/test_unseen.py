@@ -17,22 +17,23 @@ MEDIA = [  # eta, sigma_t, albedo, g
 ]
 
 
+def sensor_dict():
+    return {
+        "type": "thinlens", "fov": 38, "aperture_radius": 0.03, "focus_distance": 5.0,
+        "to_world": mi.ScalarTransform4f().look_at([0.6, 1.4, 5.0], [0.05, 0, 0], [0, 1, 0]),
+        "sampler": {"type": "multijitter", "sample_count": 4},
+        "film": {"type": "hdrfilm", "width": 60, "height": 48, "crop_offset_x": 15, "crop_offset_y": 14,
+                 "crop_width": 14, "crop_height": 9, "component_format": "float32", "rfilter": {"type": "gaussian"}},
+    }  # fmt: skip
+
+
 def scene_dict(tmp_path):
     T = mi.ScalarTransform4f
     transforms = [
         T().translate([-0.95, 0.1, 0.2]).rotate([0.3, 1, 0.2], 40).scale([-0.8, 0.9, 0.7]),
         T().translate([0.95, -0.15, -0.3]).rotate([1, 0.1, 0.4], -70).scale([0.85, 0.55, -0.75]),
     ]
-    scene = {
-        "type": "scene",
-        "sensor": {
-            "type": "thinlens", "fov": 38, "aperture_radius": 0.03, "focus_distance": 5.0,
-            "to_world": T().look_at([0.6, 1.4, 5.0], [0.05, 0, 0], [0, 1, 0]),
-            "sampler": {"type": "multijitter", "sample_count": 4},
-            "film": {"type": "hdrfilm", "width": 60, "height": 48, "crop_offset_x": 15, "crop_offset_y": 14,
-                     "crop_width": 14, "crop_height": 9, "component_format": "float32", "rfilter": {"type": "gaussian"}},
-        },
-    }  # fmt: skip
+    scene = {"type": "scene", "sensor": sensor_dict()}
     for k, (name, triangles) in enumerate((("bumpy_sphere", 1280), ("rounded_cube", 2000))):
         eta, sigma_t, albedo, g = MEDIA[k]
         mesh, path = Mesh(*make_body(name, triangles)), tmp_path / f"{k}.ply"
@@ -57,8 +58,8 @@ def oracle_bodies(scene):
     return bodies
 
 
-def oracle_image(scene, bounces, seed):
-    """The image as Mitsuba's film makes it from the oracle's radiance along the rays of the sensor."""
+def rays(scene, seed):
+    """Places on the film (Point2f), weights, and rays (n, 6) of the sensor as ``refscatter`` draws them."""
     sensor = scene.sensors()[0]
     film, sampler = sensor.film(), sensor.sampler().clone()
     width, height, spp = *film.crop_size(), sampler.sample_count()
@@ -69,12 +70,20 @@ def oracle_image(scene, bounces, seed):
     position = mi.Point2f(corner.astype(np.float32)) + sampler.next_2d()
     in_crop = (position - mi.Point2f(film.crop_offset())) / mi.Point2f(film.crop_size())
     ray, weight = sensor.sample_ray(0.0, 0.5, in_crop, sampler.next_2d())
-    o, d = np.array(ray.o, float).T, np.array(ray.d, float).T
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    return position, weight, np.concatenate([np.array(ray.o, float), np.array(ray.d, float)]).T
+
+
+def oracle_image(scene, bounces, seed):
+    """The image as Mitsuba's film makes it from the oracle's radiance along the rays of the sensor."""
+    position, weight, found = rays(scene, seed)
+    lines = references.array("unseen rays", [sensor_dict(), seed], lambda: found)
+    np.testing.assert_allclose(found, lines, rtol=0, atol=16 * np.spacing(np.float32(np.abs(lines).max())))
+    o, d = lines[:, :3], lines[:, 3:] / np.linalg.norm(lines[:, 3:], axis=1, keepdims=True)
     lights = [tuple(np.array(x) for x in light) for light in LIGHTS]
     bodies = oracle_bodies(scene)
-    L = references.array("unseen", [bodies, lights, bounces, seed, o.shape],
+    L = references.array("unseen", [bodies, lights, bounces, lines],
                          lambda: oracle.camera_radiance(bodies, lights, o, d, bounces, subdivisions=4))  # fmt: skip
+    film = scene.sensors()[0].film()
     film.prepare([])
     block = film.create_block()
     value = mi.Color3f(L.T.astype(np.float32)) * weight

@@ -197,6 +197,7 @@ class _Along:
         self.prepared, self.region, self.ray, self.parts = prepared, region, ray, parts
         self.stretch = lit.stretch_of(paths, region, ray).gather(dr.opaque(mi.UInt32, number, 1))
         self.stretch.sample = dr.opaque(mi.UInt32, 0, 1)
+        dr.eval(self.stretch)  # Dr.Jit 1.5.0 widens an unevaluated x itself where it computes x + 0
         self.length = float(self.stretch.t_max[0])
         self.sigma_s, self.sigma_t = region.coefficients(ray.wavelengths, self.stretch.d)
 
@@ -206,7 +207,8 @@ class _Along:
         step = dr.opaque(mi.Float, self.length / n)
         t = mi.Float(i) * step
         weight = one.weight * dr.exp(-self.sigma_t * t)
-        pieces = (one.o + mi.Vector3f(0 * t), one.back + t * one.d, one.d + mi.Vector3f(0 * t), step + 0 * t, weight, i)
+        # o moves, not back: light that is not refracted is summed from o on, off the boundary.
+        pieces = (one.o + t * one.d, one.back + 0 * t, one.d + mi.Vector3f(0 * t), step + 0 * t, weight, i)
         paths = camera.Paths([[] for _ in self.prepared.scene.regions], [], False, mi.Bool(True))
         paths.segments[self.region.index].append(pieces)
         dr.eval(pieces)
