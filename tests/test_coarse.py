@@ -4,6 +4,7 @@ import build
 import mitsuba as mi
 import numpy as np
 import pytest
+from comparison import l1
 from meshes import Mesh, icosphere, triangle_grid
 
 from mitsuba_refscatter import scenes, tolerances
@@ -79,7 +80,7 @@ def test_coarse_meshes_keep_to_the_tolerance(rgb, tmp_path, name, tolerance):
     scene = scenes.load(path, res=64)
     exact, _ = image(scene, 1e-3)
     found, integrator = image(scene, tolerance)
-    assert np.abs(found - exact).sum() < tolerance * exact.sum()
+    assert l1(found, exact) < tolerance
     chosen = [value for key, value in integrator.kept._now.items() if key[0] == "coarse"]
     assert len(chosen) == 1
     levels = next(value for key, value in integrator.kept._now.items() if key[0] == "levels")
@@ -93,7 +94,7 @@ def test_facets_and_small_meshes_stay(rgb, tmp_path):
     scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light((-2.6, 2.4, -0.9))})
     o, d = build.rays_at((0.0, 1.1, 5.2), 0.6, 200, seed=7)
     loose, exact = (build.single_scattering(scene, o, d, tolerance=t, internal_bounces=0) for t in (0.3, 0.001))
-    assert np.abs(loose - exact).sum() < 0.02 * exact.sum()
+    assert l1(loose, exact) < 0.02
 
 
 def test_nothing_is_estimated_where_exact(rgb):
@@ -113,5 +114,5 @@ def test_triangles_that_share_no_vertex(rgb, tmp_path):
             shape = build.mesh_shape(mesh, tmp_path / "m.ply")
             scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light((-2.6, 2.4, -0.9))})
             found.append(build.single_scattering(scene, o, d, tolerance=tolerance, internal_bounces=0))
-    assert np.abs(found[1] - found[0]).sum() < 0.1 * found[0].sum()
-    assert np.abs(found[3] - found[2]).sum() < 1e-5 * found[2].sum()
+    assert l1(found[1], found[0]) < 0.1
+    assert l1(found[3], found[2]) < 1e-5
