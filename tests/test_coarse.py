@@ -7,10 +7,11 @@ import pytest
 from comparison import l1
 from meshes import Mesh, icosphere, triangle_grid
 
-from mitsuba_refscatter import scenes, tolerances
+from mitsuba_refscatter import scenes
 from mitsuba_refscatter.geometry import decimation
 from mitsuba_refscatter.geometry import mesh as mesh_facts
-from mitsuba_refscatter.integrators import coarseness
+from mitsuba_refscatter.integrators import coarseness, lit
+from mitsuba_refscatter.options import Options
 from mitsuba_refscatter.scenes import bodies
 
 
@@ -97,9 +98,22 @@ def test_facets_and_small_meshes_stay(rgb, tmp_path):
     assert l1(loose, exact) < 0.02
 
 
-def test_nothing_is_estimated_where_exact(rgb):
-    exact = tolerances.accuracy(0.0)
-    assert exact.coarse == 0 and not exact.samples_visibility
+def test_nothing_is_estimated_where_exact(rgb, tmp_path, monkeypatch):
+    """At tolerance 0 no coarser mesh is made, and neither what is lit nor how far light gets is judged by samples; at the default all are."""
+    done = set()
+
+    def noting(owner, name):
+        original = getattr(owner, name)
+        monkeypatch.setattr(owner, name, lambda *arguments: done.add(name) or original(*arguments))
+
+    for owner, name in ((lit.coarse, "levels"), (lit, "estimate"), (lit.visibility.Shadows, "_seen_at_samples")):
+        noting(owner, name)
+    shape = build.mesh_shape(Mesh(*bodies.bumpy_sphere(1280)), tmp_path / "m.ply")
+    scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light((-2.6, 2.4, -0.9))})
+    o, d = build.rays_at((0.0, 1.1, 5.2), 0.6, 40, seed=7)
+    for tolerance, expected in ((0.0, set()), (Options().tolerance, {"levels", "estimate", "_seen_at_samples"})):
+        assert build.single_scattering(scene, o, d, tolerance=tolerance, internal_bounces=0).min() > 0
+        assert done == expected
 
 
 def test_triangles_that_share_no_vertex(rgb, tmp_path):
