@@ -11,7 +11,6 @@ from typing import Optional
 import typer
 
 from . import output
-from . import scenes as scene_files
 from .compare import duel, race, report, results
 from .compare import gallery as galleries
 from .compare import suite as suites
@@ -73,7 +72,7 @@ def compare(
         return
     name = scene.resolve().parent.name if scene.stem == "scene" else scene.stem
     try:
-        subject = replace(duel.Subject.of(name, lambda: load(scene, values)), shipped=scene_files.made_as(scene))
+        subject = replace(duel.Subject.of(name, lambda: load(scene, values)), checked=race.checked(scene))
         outcome = _run(subject, methods, setup, quiet, None if reference is None else _image_at(reference))
     except (RuntimeError, ValueError, TypeError) as error:
         raise Failure(cause(error)) from error

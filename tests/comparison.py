@@ -1,4 +1,5 @@
-"""Comparison of two image estimators that both have noise: blocks of pixels, z values, chi-square.
+"""Two measures of the error of an image or of rays, ``l1`` and ``bias``; and comparison of two image estimators that both
+have noise: blocks of pixels, z values, chi-square.
 
 Each estimator is given as an array (replicates, height, width, channels) of independent renders with
 the same expectation, or as the ``Statistics`` of one.  Nothing here knows what is rendered.
@@ -13,6 +14,16 @@ MEAN_LIMIT = 3.0  # largest |z| of an image mean
 BLOCK_LIMIT = 4.5  # largest |z| of a block; one of 1,000 blocks exceeds it with probability 0.7 %
 CHI2_TAIL = 1e-3  # chi-square of the blocks must be in its 0.1 % to 99.9 % range
 DARK = 0.05  # blocks darker than this, relative to the image mean, hold too few paths for a z-test
+
+
+def l1(found, truth):
+    """The relative L1 difference, sum |a - b| / sum b: the measure that ``tolerance`` is for."""
+    return np.abs(found - truth).sum() / truth.sum()
+
+
+def bias(found, truth):
+    """The relative difference of the sums, sum a / sum b - 1: errors of either sign cancel in it."""
+    return found.sum() / truth.sum() - 1
 
 
 @dataclass(frozen=True)

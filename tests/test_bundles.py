@@ -113,6 +113,29 @@ def test_a_changed_mesh_is_read_anew(rgb, tmp_path):
     assert np.abs(after - before).max() > 0.1 * before.max()
 
 
-def test_buffers_are_bounded():
-    lanes = tolerances.CHUNK_PAIRS * 4 * 2 * tolerances.BUNDLED * 4
-    assert lanes <= 1 << 28  # bytes of what the filter makes of a full buffer
+@pytest.mark.parametrize("count", [200, 800])
+def test_memory_follows_the_buffer_not_the_work(rgb, tmp_path, monkeypatch, count):
+    """The half GiB that is said of the full buffer, in proportion, and little per camera segment: 800 have 25 times as many pairs
+    as the small buffer has places."""
+    mesh, most, places = bumpy_sphere(3, 0.12, 6.0), (1 << 29) / tolerances.CHUNK_PAIRS, 1 << 11
+    culling = one_body(mesh, 1.5, LIGHT, tmp_path)
+    segments = culling.segments(*chords(mesh, np.random.default_rng(3), count))
+    monkeypatch.setattr(tolerances, "PIECES", tolerances.PIECES * places // tolerances.CHUNK_PAIRS)
+    monkeypatch.setattr(tolerances, "CHUNK_PAIRS", places)
+    backend = dr.backend_v(mi.Float)
+
+    def leaves():
+        parts = culling.culling, culling.lighting, culling.prepared.accuracy, culling.prepared.estimator
+        sums, counts = wavefront.scatter(segments, *parts)
+        dr.eval(sums.value)
+        dr.sync_thread()
+        return counts.leaves
+
+    assert leaves() > 50 * count
+    dr.flush_malloc_cache()
+    dr.detail.malloc_clear_statistics()
+    before = dr.detail.malloc_watermark(backend)
+    leaves()
+    used = dr.detail.malloc_watermark(backend) - before
+    print(f"{used / places:.0f} bytes per place")
+    assert 8 * places < used < most * places + 256 * count

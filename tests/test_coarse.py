@@ -4,13 +4,15 @@ import build
 import mitsuba as mi
 import numpy as np
 import pytest
+from comparison import l1
 from meshes import Mesh, icosphere, triangle_grid
 
-from mitsuba_refscatter import scenes, tolerances
+from mitsuba_refscatter import scenes
 from mitsuba_refscatter.geometry import decimation
 from mitsuba_refscatter.geometry import mesh as mesh_facts
-from mitsuba_refscatter.integrators import coarseness
+from mitsuba_refscatter.integrators import coarseness, lit
 from mitsuba_refscatter.kept import ChoiceKey, LevelsKey
+from mitsuba_refscatter.options import Options
 from mitsuba_refscatter.scenes import bodies
 
 
@@ -80,7 +82,7 @@ def test_coarse_meshes_keep_to_the_tolerance(rgb, tmp_path, name, tolerance):
     scene = scenes.load(path, res=64)
     exact, _ = image(scene, 1e-3)
     found, integrator = image(scene, tolerance)
-    assert np.abs(found - exact).sum() < tolerance * exact.sum()
+    assert l1(found, exact) < tolerance
     (chosen,), (levels,) = (
         [value for key, value in integrator.kept._now.items() if isinstance(key, kind)]
         for kind in (ChoiceKey, LevelsKey)
@@ -95,12 +97,25 @@ def test_facets_and_small_meshes_stay(rgb, tmp_path):
     scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light((-2.6, 2.4, -0.9))})
     o, d = build.rays_at((0.0, 1.1, 5.2), 0.6, 200, seed=7)
     loose, exact = (build.single_scattering(scene, o, d, tolerance=t, internal_bounces=0) for t in (0.3, 0.001))
-    assert np.abs(loose - exact).sum() < 0.02 * exact.sum()
+    assert l1(loose, exact) < 0.02
 
 
-def test_nothing_is_estimated_where_exact(rgb):
-    exact = tolerances.accuracy(0.0)
-    assert exact.coarse == 0 and not exact.samples_visibility
+def test_nothing_is_estimated_where_exact(rgb, tmp_path, monkeypatch):
+    """At tolerance 0 no coarser mesh is made, and neither what is lit nor how far light gets is judged by samples; at the default all are."""
+    done = set()
+
+    def noting(owner, name):
+        original = getattr(owner, name)
+        monkeypatch.setattr(owner, name, lambda *arguments: done.add(name) or original(*arguments))
+
+    for owner, name in ((lit.coarse, "levels"), (lit, "estimate"), (lit.visibility.Shadows, "_seen_at_samples")):
+        noting(owner, name)
+    shape = build.mesh_shape(Mesh(*bodies.bumpy_sphere(1280)), tmp_path / "m.ply")
+    scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light((-2.6, 2.4, -0.9))})
+    o, d = build.rays_at((0.0, 1.1, 5.2), 0.6, 40, seed=7)
+    for tolerance, expected in ((0.0, set()), (Options().tolerance, {"levels", "estimate", "_seen_at_samples"})):
+        assert build.single_scattering(scene, o, d, tolerance=tolerance, internal_bounces=0).min() > 0
+        assert done == expected
 
 
 def test_triangles_that_share_no_vertex(rgb, tmp_path):
@@ -115,5 +130,5 @@ def test_triangles_that_share_no_vertex(rgb, tmp_path):
             shape = build.mesh_shape(mesh, tmp_path / "m.ply")
             scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light((-2.6, 2.4, -0.9))})
             found.append(build.single_scattering(scene, o, d, tolerance=tolerance, internal_bounces=0))
-    assert np.abs(found[1] - found[0]).sum() < 0.1 * found[0].sum()
-    assert np.abs(found[3] - found[2]).sum() < 1e-5 * found[2].sum()
+    assert l1(found[1], found[0]) < 0.1
+    assert l1(found[3], found[2]) < 1e-5

@@ -8,6 +8,7 @@ import numpy as np
 import oracle
 import pytest
 import soup
+from comparison import l1
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from meshes import BoxTree, bumpy_sphere, make_patches, take
@@ -106,7 +107,7 @@ def test_one_light_point_per_segment(bumpy, estimator):
     expected = alone[choice, np.arange(len(choice))]
     assert expected.sum() > 0
     # Beams are cut into parts in advance, and intervals with them.
-    error = np.abs(mixed - expected).sum() / expected.sum()
+    error = l1(mixed, expected)
     print(f"{error:.1e}")
     assert error < (1e-3 if estimator is interval else 1e-4)
 

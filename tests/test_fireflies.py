@@ -18,6 +18,9 @@ LEAST = 0.05
 """Radiance relative to the mean below which errors are relative to that: the ends of what is lit are dark."""
 FIREFLY = 0.3
 """Error, relative to the radiance or the mean over all rays, whichever is larger, that no single ray may have."""
+UNKNOWN = 0.2
+"""Share of suspects, less than this, that the oracle may not know to 1 %: its own error falls slowly where a ray grazes a caustic, which
+is where suspects are. They are not in the table; fireflies none of them is either, by more than the oracle's doubt."""
 
 NAMES = [
     "eta 2.5", "eta 0.4", "density x size 8", "light 1e-2 from the surface", "light 1000 sizes away", "hg 0.99", "closed cylinder",
@@ -43,11 +46,14 @@ def test_no_ray_is_far_off(rgb, tmp_path, name):
     suspects = np.unique(np.concatenate([x.argsort()[-SUSPECTS:] for x in apart]))
     few = replace(case, rays=tuple(x[suspects] for x in case.lines()))
     rough, truth = (replace(few, subdivisions=k).truths()[0].sum(axis=1) for k in (5, 6))
-    known = np.abs(rough - truth) < 0.01 * np.maximum(truth, LEAST * mean)
-    assert known.sum() > 0.7 * len(suspects)
+    doubt = np.abs(rough - truth)
+    known = doubt < 0.01 * np.maximum(truth, LEAST * mean)
+    print(f"{name}: of {len(suspects)} suspects the oracle knows {(~known).sum()} to no better than 1 %, the worst to "
+          f"{(doubt / np.maximum(truth, LEAST * mean)).max():.1%}")  # fmt: skip
+    assert (~known).mean() < UNKNOWN
     for look, radiance in found.items():
-        error = np.abs(radiance[suspects] - truth)[known]
-        relative = error / np.maximum(truth, LEAST * mean)[known]
+        error = np.abs(radiance[suspects] - truth)
+        relative = (error / np.maximum(truth, LEAST * mean))[known]
         at = suspects[known][relative.argmax()]
         print(f"| {name} | {look} | {relative.max():.1e} | {best[at] / mean:.2g} |")
-        assert look == "interval" or (error / np.maximum(truth, mean)[known]).max() < FIREFLY
+        assert look == "interval" or ((error - doubt * ~known) / np.maximum(truth, mean)).max() < FIREFLY

@@ -7,11 +7,17 @@ from pathlib import Path
 import pytest
 
 FOLDER = Path(__file__).parent.parent / "notebooks"
+README = FOLDER.parent / "README.md"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 
 
-def test_there_are_six():
-    assert [path.name[:2] for path in NOTEBOOKS] == ["01", "02", "03", "04", "05", "06"]
+def test_the_readme_lists_them_in_order():
+    """Under the titles that they have."""
+    listed = re.findall(r"^\| \[(.+?)\]\(notebooks/(.+?)\) \|", README.read_text(encoding="utf-8"), re.MULTILINE)
+    assert [name for _, name in listed] == [path.name for path in NOTEBOOKS] and listed
+    for title, name in listed:
+        first = json.loads((FOLDER / name).read_text(encoding="utf-8"))["cells"][0]["source"]
+        assert "".join(first).splitlines()[0] == f"# {title}"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

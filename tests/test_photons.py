@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from against_volpath import glass, medium, to
+from comparison import bias, l1
 from meshes import bumpy_sphere
 from test_real_scenes import ball_light, panel, spot, sun
 
@@ -86,8 +87,8 @@ def test_bias_is_a_blur_that_shrinks_with_the_radius(tmp_path, mode):
     darker, error = [], []
     for radius in (0.12, 0.03):
         found = by_photons(scene, mode, MANY[mode], 4, radius=radius).mean(axis=0)
-        darker.append(found[bright].sum() / expected[bright].sum() - 1)
-        error.append(np.abs(found - expected).sum() / expected.sum())
+        darker.append(bias(found[bright], expected[bright]))
+        error.append(l1(found, expected))
     print(f"{mode}: {darker} {error}")
     assert darker[0] < -0.05 and darker[0] < 2 * darker[1] and error[1] < 0.7 * error[0]
 
@@ -168,7 +169,7 @@ def test_a_progressive_render_comes_nearer(tmp_path, mode):
     )
 
     def watch(samples, image):
-        errors.append(np.abs(np.array(image) - expected).sum() / expected.sum())
+        errors.append(l1(np.array(image), expected))
         return 1 if samples < 24 else 0
 
     integrator.watch = watch

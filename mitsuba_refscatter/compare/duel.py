@@ -7,13 +7,13 @@ from . import methods, metrics, race, results
 
 @dataclass
 class Subject:
-    """A scene to compare on. ``load()``: makes it anew, as ``mi.Scene``; ``triangles``: of its boundaries; ``shipped``: the
-    name of the scene of this package that it is, or None."""
+    """A scene to compare on. ``load()``: makes it anew, as ``mi.Scene``; ``triangles``: of its boundaries; ``checked``: the
+    ``race.Checked`` of this very scene and mesh, or None."""
 
     name: str
     load: object
     triangles: int
-    shipped: object = None
+    checked: object = None
 
     @classmethod
     def of(cls, name, load):
@@ -56,8 +56,9 @@ def compare(subject, names, setup, reference=None, report=lambda stage, fraction
     if reference is None:
         found = race.reference(scene, setup, lambda x: report("reference", x))
         reference = found.image
+        known = None if setup.internal_bounces else subject.checked
         about = (f"curve at tolerance {race.REFERENCE_TOLERANCE:g}, {found.samples} samples per pixel, "
-                 f"{found.wall_seconds:.1f} s{'' if setup.internal_bounces else _checked(subject.shipped)}")  # fmt: skip
+                 f"{found.wall_seconds:.1f} s; {checked_words(known)}")  # fmt: skip
     bad = int((~np.isfinite(reference)).sum())
     if bad:
         raise ValueError(
@@ -81,13 +82,12 @@ def compare(subject, names, setup, reference=None, report=lambda stage, fraction
     return Outcome(subject, setup, reference, about, runs, _rows(subject, setup, reference, runs))
 
 
-def _checked(shipped):
-    """What is known of the reference on a scene of this package, in words."""
-    if shipped not in race.CHECKED:
-        return ""
-    against_oracle, against_beams = race.CHECKED[shipped]
-    return (f"; along camera rays into {shipped} it is within {against_oracle:g} (L1) of a float64 oracle, and within {against_beams:g} "
-            "(mean) of long photon beams")  # fmt: skip
+def checked_words(known):
+    """What a report says of its reference, of which a ``race.Checked`` or nothing (None) is known."""
+    if known is None:
+        return "on this scene it was not checked itself"
+    return (f"along camera rays into this scene it is within {known.l1:g} (L1) of a float64 oracle, and within {known.bias:g} (bias) "
+            "of long photon beams")  # fmt: skip
 
 
 def _rows(subject, setup, reference, runs):

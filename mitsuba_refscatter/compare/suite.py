@@ -42,7 +42,7 @@ class Case:
             parameters.update()
             return scene
 
-        return Subject(self.name, load, count, self.scene if self.density == 1 and not self.light else None)
+        return Subject(self.name, load, count)
 
 
 BEST = ("refscatter", "photon_beams", "straight_line")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from ..spelling import advice
@@ -19,7 +18,6 @@ __all__ = [
     "STUDIO",
     "BodyError",
     "load",
-    "made_as",
     "make_body",
     "scene_names",
     "write_ply",
@@ -86,9 +84,3 @@ def load(path, **values):
     import mitsuba as mi
 
     return mi.load_file(str(path), optimize=False, parallel=False, **values)
-
-
-def made_as(path) -> str | None:
-    """Return the name of the scene that a file holds, as the comment of ``write_scene`` says; None if another hand wrote it."""
-    found = re.search(r"All files were written by\s+refscatter scenes (\w+)", Path(path).read_text("utf-8", "replace"))
-    return found.group(1) if found and found.group(1) in SCENES else None
