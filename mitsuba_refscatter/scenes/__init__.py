@@ -21,7 +21,6 @@ __all__ = [
     "load",
     "made_as",
     "make_body",
-    "scene_names",
     "write_ply",
     "write_scene",
 ]
@@ -41,11 +40,6 @@ class BodyError(ValueError):
 
 
 MAX_TRIANGLES = 20_000_000  # indices and memory stay harmless; a typing error does not
-
-
-def scene_names() -> list[str]:
-    """Return the names that ``write_scene`` and ``make_body`` take."""
-    return list(SCENES)
 
 
 def make_body(name: str, triangles: int | None = None):
