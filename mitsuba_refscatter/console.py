@@ -43,7 +43,7 @@ class Terminated(KeyboardInterrupt):
 def stop_on_sigterm() -> None:
     """Let SIGTERM end a command as Ctrl-C does: what is unfinished is removed."""
 
-    def stop(number, frame):
+    def stop(_number, _frame):
         raise Terminated
 
     signal.signal(signal.SIGTERM, stop)

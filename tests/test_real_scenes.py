@@ -88,7 +88,6 @@ LIGHTS = {
 }  # fmt: skip
 
 TINTED = {"specular_transmittance": colour(0.9, 0.5, 0.3), "specular_reflectance": colour(0.3, 0.8, 0.6)}
-WATER = {"type": "rectangle", "to_world": None, "interior": WITHIN}
 
 
 def water(eta, size=40.0):

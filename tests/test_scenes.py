@@ -93,7 +93,7 @@ def test_impossible_bodies_are_refused(name, count):
         scenes.make_body(name, count)
 
 
-@pytest.mark.parametrize("name", scenes.scene_names())
+@pytest.mark.parametrize("name", scenes.SCENES)
 def test_committed_files_are_what_the_command_writes(name, tmp_path):
     path, _ = scenes.write_scene(name, tmp_path)
     assert path.read_text() == (COMMITTED / name / "scene.xml").read_text()
@@ -108,7 +108,7 @@ def test_committed_files_are_what_the_command_writes(name, tmp_path):
         assert np.abs(a - b).max() < 1e-6
 
 
-@pytest.mark.parametrize("name", scenes.scene_names())
+@pytest.mark.parametrize("name", scenes.SCENES)
 def test_scenes_load_and_are_lit(name, variant):
     text = (COMMITTED / name / "scene.xml").read_text()
     scene = scenes.load(COMMITTED / name / "scene.xml", res=16)

@@ -154,7 +154,7 @@ def _array(image):
     return np.array(image, dtype=np.float64)[..., :3]
 
 
-def reference(scene, setup, report=lambda fraction: None):
+def reference(scene, setup, report):
     """The image that errors are measured against: a long run of ``curve``. Returns a ``Run``."""
     settings = {**methods.METHODS["refscatter"], **setup.common, "tolerance": REFERENCE_TOLERANCE}
     return _ours(scene, Run("reference", settings), None, REFERENCE_TIME * setup.seconds, None, report, REFERENCE_SEED)

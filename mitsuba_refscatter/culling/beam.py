@@ -130,13 +130,11 @@ def unpack(numbers):
 @dataclass
 class Zeros:
     """Where g vanishes on beams. ``possible``: False only if it surely doesn't; ``bracketed``: the corners have
-    different signs; ``g``: its values there; ``bound``: how far it can deviate from linear in between; ``nonlinearity``:
-    the same relative to its range."""
+    different signs; ``g``: its values there; ``nonlinearity``: how far it can deviate from linear in between, relative to its range."""
 
     possible: object
     bracketed: object
     g: list
-    bound: object
     nonlinearity: object
 
 
@@ -151,7 +149,7 @@ def classify(piece, segment):
     low, high = fold(dr.minimum, g), fold(dr.maximum, g)
     # A pair of which only an edge is touched, g = 0 at a corner, is bracketed on one side of it only.
     possible, bracketed = (low <= bound) & (high >= -bound), (low < 0) & (high >= 0)
-    return Zeros(possible, bracketed, g, bound, bound / dr.maximum(high - low, 1e-30))
+    return Zeros(possible, bracketed, g, bound / dr.maximum(high - low, 1e-30))
 
 
 def fold(f, items):

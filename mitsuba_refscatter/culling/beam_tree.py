@@ -131,7 +131,7 @@ def _beam_bounds(piece, body):
     return Bounds(P_low, P_high, *columns, rest_low, rest_high, *_beam_box(P, omega, bend, sag, body), mi.Float(1))
 
 
-def _hull(points, pad=0):
+def _hull(points, pad):
     low, high = bvh.box(points)
     return low - pad, high + pad
 

@@ -22,7 +22,7 @@ from .pairs import Reach, Taken
 class Beams:
     """The light beams of one light in one body, and their tree.
 
-    ``triangle_records``: the scene's; ``records``: flat, ``beam.BEAM`` numbers each, ``count`` of them; ``triangles``:
+    ``triangle_records``: the scene's; ``records``: flat, ``beam.BEAM`` numbers each; ``triangles``:
     parent triangle of each beam; ``proven_lit``: whether the whole beam is known to see the light.
     """
 
@@ -30,7 +30,6 @@ class Beams:
     records: object
     triangles: object
     proven_lit: object
-    count: int
     tree: bvh.Tree
     width: float
 
@@ -41,11 +40,11 @@ class Beams:
     for_one_light = True
     """Made for one light point: knows the zeros of g before an estimator does, and proofs of visibility."""
 
-    def node_test(self, segments, light):
+    def node_test(self, segments, _light):
         """The conservative test of bundles of camera segments against a node of the tree, for ``bvh.traverse``."""
         return beam_tree.node_test(segments)
 
-    def plausible(self, pairs, segment, light):
+    def plausible(self, _pairs, _segment, _light):
         """Places of the leaves without a beam hold ``beam.nothing``."""
         return mi.Bool(True)
 
@@ -154,7 +153,7 @@ def build(body, scene_records, order, light, bend, seen, clear):
     triangle.scatter_numbers(records, light_beam.numbers(piece, reach), dr.arange(mi.UInt32, count))
     width = float(dr.mean(dr.norm(h * tri.P_u))[0])
     dr.eval(records, index, proven)
-    return Beams(scene_records, records, index, proven, count, beam_tree.build(records, count, body), width)
+    return Beams(scene_records, records, index, proven, beam_tree.build(records, count, body), width)
 
 
 def _in_leaves(place, parent, code, level):

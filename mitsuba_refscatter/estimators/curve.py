@@ -42,7 +42,6 @@ class _Point:
     v: object
     P: object
     area: object
-    n: object
     omega_L: object
     omega: object
     c_L: object
@@ -65,7 +64,7 @@ def _evaluate(tri, lighting, segment, u, v, a, b):
     across = dr.cross(P - segment.o, segment.d)
     g = dr.dot(omega, across)
     slope = dr.dot(d_omega, across) + dr.dot(omega, dr.cross(d_P, segment.d))
-    return _Point(u, v, P, dr.cross(P_u, P_v), n, omega_L, omega, c_L, c_V, d_L, slope, g)
+    return _Point(u, v, P, dr.cross(P_u, P_v), omega_L, omega, c_L, c_V, d_L, slope, g)
 
 
 @dataclass
@@ -103,7 +102,7 @@ def accumulate(sums, pairs, segments, culling, lighting, accuracy):
     """
     arguments = (sums, segments, culling, lighting, accuracy)
 
-    def proof(lighting, point, tri, s, taken, active):
+    def proof(lighting, point, _tri, s, taken, _active):
         free, blocked = lighting.known(point.u, point.v, s, taken)
         return free, ~(free | blocked)
 

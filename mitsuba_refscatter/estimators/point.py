@@ -79,7 +79,7 @@ def classify(piece, segment):
         low, high = (light_beam.fold(f, [x[k] for x in m]) for f in (dr.minimum, dr.maximum))
         possible &= (low <= bound) & (high >= -bound)
     nonlinearity = bound * longest / dr.maximum(dr.abs(area), 1e-30)
-    return light_beam.Zeros(possible, possible, [*areas, area], bound, nonlinearity)
+    return light_beam.Zeros(possible, possible, [*areas, area], nonlinearity)
 
 
 def roots(taken, segment, lighting):
@@ -104,7 +104,7 @@ def roots(taken, segment, lighting):
     return solution, path, solution.converged & inside & point_form.refracts(path, tri)
 
 
-def accumulate(sums, pairs, segments, culling, lighting, accuracy):
+def accumulate(sums, pairs, segments, culling, lighting, _accuracy):
     """Adds what the light beams of ``pairs`` bring to their sample points; nothing is left over."""
     segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
     taken = culling.take(pairs, lighting.light)

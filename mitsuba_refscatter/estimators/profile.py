@@ -50,8 +50,8 @@ class Profile:
     def __init__(self, parts):
         self.parts, self.found = parts, []
 
-    def accumulate(self, sums, pairs, segments, culling, lighting, accuracy):
-        """Keeps the cells of pairs; nothing is added to ``sums``, nothing is left over."""
+    def accumulate(self, _sums, pairs, segments, culling, lighting, accuracy):
+        """Keeps the cells of pairs; nothing is added to the sums, nothing is left over."""
         cells, exists = _cells(pairs.cut(self.parts), segments, culling, lighting, accuracy)
         dr.eval(cells, exists)
         kept = dr.compress(exists)

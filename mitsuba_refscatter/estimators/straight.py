@@ -77,7 +77,7 @@ class _ByDepth:
         """Where step k of n ends."""
         return self.t_max * dr.power(mi.Float(k) / mi.Float(n), self.growth)
 
-    def next(self, a, k, j, n):
+    def next(self, _a, k, j, n):
         """End of the panel from a on, which k steps of depth and j of angle precede, and how many do its end."""
         return self.end(k + 1, n), k + 1, j
 

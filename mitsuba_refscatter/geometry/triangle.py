@@ -32,7 +32,7 @@ class Triangle:
         """Point of the triangle at (u, v)."""
         return dr.fma(self.P_v, v, dr.fma(self.P_u, u, self.P0))
 
-    def tangents(self, u, v):
+    def tangents(self, _u, _v):
         """Derivatives of the position in u and v."""
         return self.P_u, self.P_v
 
@@ -40,7 +40,7 @@ class Triangle:
         """Interpolated normal of any length."""
         return dr.fma(self.n_v, v, dr.fma(self.n_u, u, self.n0))
 
-    def normal_slopes(self, u, v):
+    def normal_slopes(self, _u, _v):
         """Derivatives of ``normal_before`` in u and v."""
         return self.n_u, self.n_v
 
@@ -167,8 +167,8 @@ def gather_numbers(records, index, count, active=True):
     return out
 
 
-def scatter_numbers(records, values, index, active=True):
+def scatter_numbers(records, values, index):
     """Writes one record of ``len(values)`` numbers, a multiple of 4, per lane."""
     n = len(values) // 4
     for k in range(n):
-        dr.scatter(records, mi.Vector4f(*values[4 * k : 4 * k + 4]), index * n + k, active)
+        dr.scatter(records, mi.Vector4f(*values[4 * k : 4 * k + 4]), index * n + k)

@@ -298,7 +298,7 @@ def scatter(prepared, paths, ray, n, batch, seed, detail, progress, refracted=Tr
         report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
         if refracted:
             _refracted(prepared, region, turn.light, *taken, single, seed + i, detail, report)
-        if goes_straight(scene, region, turn.light, taken[1]):
+        if goes_straight(region, turn.light, taken[1]):
             _straight(prepared, region, *taken, single)
     return single.first(n)
 
@@ -329,7 +329,7 @@ def _refracted(prepared, region, light, stretch, light_point, value, single, see
         single.add_all(sums, stretch.weight * sigma_s * value * tint, stretch.sample)
 
 
-def goes_straight(scene, region, light, light_point):
+def goes_straight(region, light, light_point):
     """Whether light may come to where it is scattered in a region without refraction."""
     if region.admits or light_point.distant:
         return region.admits

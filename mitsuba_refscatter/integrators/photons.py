@@ -58,7 +58,7 @@ class PhotonIntegrator(RefscatterIntegrator):
         common = {name: getattr(self.options, name) for name in vars(options.Common())}
         return Prepared(scene, options.Options(**common), seed, self.kept)
 
-    def scatter(self, prepared, paths, ray, n, batch, sampler, detail, progress):
+    def scatter(self, prepared, paths, ray, n, batch, sampler, detail, _progress):
         single = scatter(prepared, paths, ray, n, batch, 0, detail, None, refracted=False)
         rng = np.random.default_rng(seed_from(sampler))
         number = batch.first // batch.per_pixel  # of the pass

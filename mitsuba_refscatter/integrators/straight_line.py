@@ -27,5 +27,5 @@ class StraightIntegrator(RefscatterIntegrator):
     def prepare(self, scene, seed):
         return Prepared(scene, options.Options(**vars(self.options)), seed, self.kept, straight=True)
 
-    def scatter(self, prepared, paths, ray, n, batch, sampler, detail, progress):
+    def scatter(self, prepared, paths, ray, n, batch, _sampler, detail, progress):
         return scatter(prepared, paths, ray, n, batch, 0, detail, progress, refracted=False)

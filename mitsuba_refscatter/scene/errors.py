@@ -5,11 +5,11 @@ class SceneError(RuntimeError):
     """A scene that ``refscatter`` cannot render: names the object, the reason and what to do."""
 
 
-def describe(obj, what, detail=""):
-    """How error messages name an object: its id, or where it has none what is known of it."""
+def describe(obj, what, detail):
+    """How error messages name an object: its id, or where it has none what is known of it, ``detail``."""
     name = obj.id()
     anonymous = not name or name.startswith("_unnamed") or name.startswith("__")
-    return f"{what} {detail}" if anonymous and detail else f'{what} "{name}"'
+    return f"{what} {detail}" if anonymous else f'{what} "{name}"'
 
 
 def name_medium(medium):

@@ -64,7 +64,7 @@ class Cosine:
         """That for the camera segments ``segment`` (indices)."""
         return Cosine(lanes.of(self.normal, segment))
 
-    def __call__(self, P, omega_L, d_L):
+    def __call__(self, _P, omega_L, _d_L):
         return dr.maximum(-dr.dot(self.normal, omega_L), 0)
 
 
@@ -80,7 +80,7 @@ class Profile:
         """That for the camera segments ``segment`` (indices)."""
         return Profile(self.emitter, self.centre, lanes.of(self.wavelengths, segment))
 
-    def __call__(self, P, omega_L, d_L):
+    def __call__(self, P, _omega_L, d_L):
         _, value = _sample(self.emitter, mi.Point3f(P) + self.centre, self.wavelengths, mi.Point2f(0.5))
         return value * dr.square(d_L)
 

@@ -19,7 +19,6 @@ __all__ = [
     "BodyError",
     "load",
     "make_body",
-    "scene_names",
     "write_ply",
     "write_scene",
 ]
@@ -39,11 +38,6 @@ class BodyError(ValueError):
 
 
 MAX_TRIANGLES = 20_000_000  # indices and memory stay harmless; a typing error does not
-
-
-def scene_names() -> list[str]:
-    """Return the names that ``write_scene`` and ``make_body`` take."""
-    return list(SCENES)
 
 
 def make_body(name: str, triangles: int | None = None):

@@ -2,14 +2,11 @@
 
 With unit directions omega_L from P to the light and omega_V from P to V = o + t d let q = omega_L + eta omega_V.
 Light from L is refracted at P to V where q is parallel to the normal n, with both directions on their sides of the
-surface. Two residuals of this, each given together with its 3 x 3 Jacobian by (t, u, v):
+surface. The residual of this, given together with its 3 x 3 Jacobian by (t, u, v), is q x n, for every eta. At eta = 1, where q
+itself is 0 and normals play no part, q is another one, better at grazing incidence. The published one, sign(eta - 1) q / |q| + n
+(Walter et al. 2009; Holzschuch 2015), loses digits as eta goes to 1, where |q| goes to |eta - 1|.
 
-    half_vector:  f = sign(eta - 1) q / |q| + n     (Walter et al. 2009; Holzschuch 2015)
-    cross:        q x n
-
-The first is the published one, for tests and comparison; it loses digits as eta goes to 1, where |q| goes to |eta - 1|. The
-second holds for every eta. At eta = 1, where q itself is 0 and normals play no part, q is a third residual, better at
-grazing incidence. In all omega_V points into the body on the line through P and V, so that a root may also have V
+In all omega_V points into the body on the line through P and V, so that a root may also have V
 behind P (s < 0): callers test ``s``.
 """
 
@@ -86,17 +83,6 @@ class Connection:
         if length is None:
             return c
         return c.times(*(x / length for x in (self.s, self.s_t, self.s_u, self.s_v)))
-
-    def half_vector(self, sign):
-        """``Residual`` f; ``sign`` is 1 for eta > 1 and -1 for eta < 1."""
-        scale = sign * dr.rcp(dr.norm(self.q))
-        h = self.q * scale
-
-        def turned(q_x):
-            q_x = q_x * scale
-            return q_x - h * dr.dot(h, q_x)
-
-        return Residual(h + self.n, turned(self.q_t), turned(self.q_u) + self.n_u, turned(self.q_v) + self.n_v)
 
     def distance_correction(self, tri):
         """D: light that is refracted at P spreads at V as from a source at distance sqrt(D) (Walter et al. 2009;
