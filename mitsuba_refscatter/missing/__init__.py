@@ -57,7 +57,7 @@ def on_surfaces(scene, ends):
     met = meet(scene, legs.o, legs.d, True)
     P, n = legs.o + met.t * legs.d, dr.select(dr.dot(met.n, legs.d) > 0, -met.n, met.n)
     start, seen, wrong = P + n * offset(P), 0.0, np.zeros(len(scene.regions) + 1)
-    for light, point in points(scene, count, mi.PCG32(size=count)):
+    for light, point in points(scene, mi.PCG32(size=count)):
         omega_L, d_L = point.source(mi.Float(1), mi.Point3f(0)).seen_from(P)
         arriving = legs.weight * point.intensity(media.visible()) * dr.maximum(dr.dot(n, omega_L), 0) / dr.square(d_L)
         emission = point.emission(mi.Point3f(0), media.visible())

@@ -27,8 +27,8 @@ def offset(p):
     return tolerances.MISSING_OFFSET * dr.max(dr.abs(p))
 
 
-def points(scene, n, random):
-    """Pairs of a ``Light`` and its ``LightPoint``, one or ``n`` of them, of all lights or of some where they are many."""
+def points(scene, random):
+    """Pairs of a ``Light`` and its ``LightPoint``, one or as many as ``random`` has lanes, of all lights or of some where they are many."""
     chosen = np.linspace(0, len(scene.lights) - 1, min(len(scene.lights), tolerances.MISSING_LIGHTS)).astype(int)
     for light in (scene.lights[i] for i in chosen):
         u = mi.Point2f(random.next_float32(), random.next_float32())
@@ -39,7 +39,7 @@ def photons(scene):
     """``Photons`` of the lights."""
     each = tolerances.MISSING_PHOTONS // min(len(scene.lights), tolerances.MISSING_LIGHTS)
     random, targets, found = mi.PCG32(size=each), _Targets(scene), []
-    for _, point in points(scene, each, random):
+    for _, point in points(scene, random):
         u = [random.next_float32() for _ in range(3)]
         weight, L = point.intensity(media.visible()), point.L + dr.zeros(type(point.L), each)
         if point.distant:
