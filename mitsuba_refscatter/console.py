@@ -116,6 +116,9 @@ def measurable(variant: Optional[str], directory: Optional[Path]) -> str:
     """The variant to measure in, once it is certain that it runs and that results can be written."""
     variant = variant or platform.default_variant()
     platform.require_usable(variant)
+    from . import missing
+
+    missing.silent = True
     if directory is not None:
         output.directory(directory)
     return variant

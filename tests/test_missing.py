@@ -10,12 +10,19 @@ import test_real_scenes as real
 from against_volpath import WITHIN, camera, colour, glass, to
 from build import point_light
 
-from mitsuba_refscatter import kept, missing
+from mitsuba_refscatter import console, kept, missing
 from mitsuba_refscatter.missing import walk
 from mitsuba_refscatter.missing.emission import photons
 from mitsuba_refscatter.scene import read
 
 pytestmark = pytest.mark.usefixtures("rgb")
+
+
+@pytest.fixture(autouse=True)
+def told(monkeypatch):
+    """Tests of commands that measure may have been run in this process."""
+    monkeypatch.setattr(missing, "silent", False)
+
 
 FAINT = 0.02
 """Albedo at which what scatters again is less than a few percent."""
@@ -257,6 +264,12 @@ def test_each_warning_comes_once_per_render(capfd, monkeypatch):
     assert len(once) == 1 and once == again
     wrapped = {"type": "aov", "aovs": "depth:depth", "inside": {"type": "refscatter"}}
     assert warnings_of(capfd, loaded(albedo=0.9, integrator=wrapped, **parts), spp=4) == once
+
+
+def test_commands_that_measure_say_nothing(capfd):
+    console.measurable(None, None)
+    assert missing.silent
+    assert warnings_of(capfd, loaded(albedo=0.9, light=LAMP, body=ball(bsdf={"type": "null"})), spp=1) == []
 
 
 def test_the_first_screen_of_the_readme_says_the_same():

@@ -12,6 +12,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 
+from .. import missing
 from .. import scenes as scene_files
 from . import results
 from .methods import LIGHT_RADIUS, METHODS, depth, for_volpath
@@ -62,6 +63,7 @@ def measure(setup):
     mi.set_variant(setup.variant)
     import mitsuba_refscatter  # noqa: F401 - registers the plugin
 
+    missing.silent = True  # in this process
     with tempfile.TemporaryDirectory() as directory:
         path, triangles = scene_files.write_scene(setup.scene, directory, setup.triangles)
         scene = scene_files.load(path, res=str(setup.resolution))

@@ -14,6 +14,9 @@ from ..scene import NONE, media
 from .emission import offset, photons, points
 from .walk import FURTHER, INSIDE, REFLECTED, REFRACTED, SURFACES, follow, look, meet
 
+silent = False
+"""Whether nothing is said: by commands that measure, whose renders are many, and all of single scattering alone."""
+
 SAYS = {
     REFRACTED: "it passes through {culprit} first, and light is followed through one refraction only",
     INSIDE: "it is reflected inside {culprit} first, which is not followed",
@@ -32,7 +35,7 @@ ON_SURFACES = ("{share} of the light on the surfaces that are seen is wrong: {re
 def in_media(scene):
     """Sentences about the light that is missing in the media of a ``scene.Scene``."""
     regions = [region for region in scene.regions if region.scatters]
-    if not regions or not scene.lights:
+    if silent or not regions or not scene.lights:
         return []
     left, by_shape = follow(scene, photons(scene))
     names, out = scene.names(), []
@@ -48,7 +51,7 @@ def in_media(scene):
 
 def on_surfaces(scene, ends):
     """Sentences about what media do to light on the surfaces where camera rays end. ``ends``: a list of ``camera.Legs``."""
-    if not scene.lights or not any(region.medium is not None for region in scene.regions):
+    if silent or not scene.lights or not any(region.medium is not None for region in scene.regions):
         return []
     total = sum(map(len, ends))
     some = [legs.gather(_evenly(len(legs), -(-len(legs) * tolerances.MISSING_PHOTONS // total))) for legs in ends]
