@@ -8,6 +8,7 @@ import pytest
 from faults import BALL, Maker, amber, glass, moved, points_of, refused, sensor, with_faces
 from meshes import Mesh, box
 
+from mitsuba_refscatter.compare import duel
 from mitsuba_refscatter.scene import SceneError
 from mitsuba_refscatter.scene.bodies import _read_mesh
 
@@ -235,3 +236,12 @@ def test_nested_integrators_are_named(make):
         ({"a": {"type": "path"}, "b": {"type": "direct"}}, "given (PathIntegrator, DirectIntegrator): give one"),
     ):
         refused(lambda: make.scene(integrator={"type": "refscatter", **inside}), words)
+
+
+def test_references_to_compare_with(make):
+    """Black, or with numbers that are not finite: each is told."""
+    subject = duel.Subject("ball", make.scene, 80)
+    for values, words in (([0, 0], "is black"), ([1, np.nan], "holds 96 numbers that are not finite")):
+        reference = np.tile(np.array(values, dtype=float)[:, None], (8, 4, 3))
+        with pytest.raises(ValueError, match=words):
+            duel.compare(subject, [], None, reference)

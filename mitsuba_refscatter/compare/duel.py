@@ -61,9 +61,7 @@ def compare(subject, names, setup, reference=None, report=lambda stage, fraction
                  f"{found.wall_seconds:.1f} s; {checked_words(known)}")  # fmt: skip
     bad = int((~np.isfinite(reference)).sum())
     if bad:
-        raise ValueError(
-            f"the reference holds {bad} numbers that are not finite: render it anew, or leave it out for a long run"
-        )
+        raise ValueError(f"the reference holds {bad} numbers that are not finite: give another one")
     if not reference.mean() > 0:
         raise ValueError(
             "the reference is black, so nothing can be compared with it: choose a scene in which light scatters"
