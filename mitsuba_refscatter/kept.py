@@ -84,8 +84,7 @@ class TreeKey:
 @dataclass(frozen=True)
 class BeamsKey:
     """Of the light beams of one light point in a body. ``body``, ``records``, ``first_record``: its triangles; ``geometry``:
-    ``Scene.geometry``, for shadows; ``distant``, ``L``: of the light; ``emitter``: number of the shape that the light point lies on
-    among those that are no bodies, or None; ``lit``: whether rays test what is lit."""
+    ``Scene.geometry``, for shadows; ``distant``, ``L``: of the light, which lies on no shape; ``lit``: whether rays test what is lit."""
 
     body: BodyKey
     records: RecordsKey
@@ -93,7 +92,6 @@ class BeamsKey:
     geometry: tuple
     distant: bool
     L: tuple
-    emitter: int | None
     lit: bool
     accuracy: object
 

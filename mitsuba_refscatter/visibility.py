@@ -31,9 +31,7 @@ class Shadows:
         self.centre = dr.opaque(mi.Point3f, body.centre)
         self.offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * body.extent + body.apart)
         other_bodies = [other.shape for other in scene.bodies if other.shape is not body.shape]
-        own = [i for i, shape in enumerate(scene.others) if shape is emitter]
-        self.emitter = own[0] if own else None
-        self.others = [shape for i, shape in enumerate(scene.others) if i != self.emitter]
+        self.others = [shape for shape in scene.others if shape is not emitter]
         self.guests = any(meets(body, shape) for shape in scene.others + other_bodies)
         self.lit = None if straight or (body.convex and not self.others and not other_bodies) else self._lit
         self.inside = None if body.convex and not self.guests else self._inside

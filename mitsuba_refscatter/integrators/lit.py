@@ -146,13 +146,13 @@ class Prepared:
             source, side, region.phase, shadows.lit, shadows.inside, emission, region.directed, shadows.guests
         )
 
-    def lit(self, body, region, light_point, wavelengths=None, key=None):
+    def lit(self, body, region, light_point, wavelengths=None, key=None, drawn=False):
         """``(lighting, culling)`` of a light point in the region inside a boundary, made once per ``key`` if that is given; the
-        culling is None if nothing is lit."""
+        culling is None if nothing is lit. ``drawn``: whether it is one of many, whose culling is not kept for other renders."""
 
         def make():
             shadows = self.shadows(body, light_point)
-            return shadows, self._culling(body, shadows)
+            return shadows, self._culling(body, shadows, drawn)
 
         shadows, culling = make() if key is None else self.once(make, "lit", body.index, body.key, key)
         return self.lighting(body, region, light_point, shadows, wavelengths), culling
@@ -161,15 +161,15 @@ class Prepared:
         corners, key = body.corners - body.centre, TreeKey("clearance", self.scene.records_key, body.first_record)
         return self.kept.once(lambda: Clearance(self.scene.records, body.first_record, corners), key)
 
-    def _culling(self, body, shadows):
+    def _culling(self, body, shadows, drawn):
         records, key, source = self.records(body), self._records_key(body), shadows.light
         if self.culling == "spindle":
             return self.kept.once(lambda: Spindle(body, records), TreeKey("spindle", key, body.first_record))
-        if self.scene.geometry is None or dr.width(source.L) > 1:
+        if drawn or self.scene.geometry is None or dr.width(source.L) > 1:
             return self._beams(body, shadows)
         key = BeamsKey(
             body=body.key, records=key, first_record=body.first_record, geometry=self.scene.geometry,
-            distant=source.distant, L=tuple(np.array(source.L).ravel().tolist()), emitter=shadows.emitter,
+            distant=source.distant, L=tuple(np.array(source.L).ravel().tolist()),
             lit=shadows.lit is not None, accuracy=self.accuracy,
         )  # fmt: skip
         return self.kept.once(lambda: self._beams(body, shadows), key)
@@ -309,7 +309,7 @@ def _refracted(prepared, region, light, stretch, light_point, value, single, see
     key = None if light.exact is None else light.index
     for body in region.boundaries:
         body = prepared.instead(body, region, light, light_point, stretch, sigma_t)
-        lighting, culling = prepared.lit(body, region, light_point, stretch.wavelengths, key)
+        lighting, culling = prepared.lit(body, region, light_point, stretch.wavelengths, key, light.exact is None)
         if culling is None:
             continue
         segments = stretch.segments(body.centre, sigma_t)
