@@ -24,6 +24,7 @@ from .console import (
     defines,
     err,
     load,
+    logged_on_stderr,
     out,
     plainly,
     progress,
@@ -122,15 +123,16 @@ def render(
 
     say = (lambda text: None) if quiet else (lambda text: err.print(text, markup=False))
     start = time.perf_counter()
-    loaded = load(scene, values)
-    integrator = _integrator(loaded, say)
-    say(f"Rendering {scene} in {variant} ...")
-    if variant.startswith("cuda"):
-        say(f"Check the picture: {platform.GPU_REMARK}.")
-    try:
-        bitmap = _render(loaded, integrator, spp, quiet)
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise Failure(cause(error)) from error
+    with logged_on_stderr():
+        loaded = load(scene, values)
+        integrator = _integrator(loaded, say)
+        say(f"Rendering {scene} in {variant} ...")
+        if variant.startswith("cuda"):
+            say(f"Check the picture: {platform.GPU_REMARK}.")
+        try:
+            bitmap = _render(loaded, integrator, spp, quiet)
+        except (RuntimeError, ValueError, TypeError) as error:
+            raise Failure(cause(error)) from error
     header = output.about(integrator, scene.name, spp or loaded.sensors()[0].sampler().sample_count(), SEED)
     written = output.write_image(path, bitmap, header=header)
     if not quiet:

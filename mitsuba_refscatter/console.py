@@ -49,6 +49,36 @@ def stop_on_sigterm() -> None:
     signal.signal(signal.SIGTERM, stop)
 
 
+@contextlib.contextmanager
+def logged_on_stderr():
+    """What Mitsuba logs goes to stderr meanwhile, as it is said; its own log is on stdout, where results are."""
+    import mitsuba as mi
+
+    class Stderr(mi.Appender):
+        def append(self, _level, text):
+            err.print(text, markup=False, highlight=False)
+
+        def log_progress(self, *_):
+            pass
+
+    class Plain(mi.Formatter):
+        def format(self, *known):
+            return re.sub(r"^\w+\(\): ", "", known[-1])  # without the name of the function that said it
+
+    logger, ours, formatter = mi.logger(), Stderr(), Plain()
+    others, usual = [logger.appender(i) for i in range(logger.appender_count())], logger.formatter()
+    logger.clear_appenders()
+    logger.add_appender(ours)
+    logger.set_formatter(formatter)
+    try:
+        yield
+    finally:
+        logger.clear_appenders()
+        for appender in others:
+            logger.add_appender(appender)
+        logger.set_formatter(usual)
+
+
 _EXPECTED = (
     Failure,
     platform.PlatformError,

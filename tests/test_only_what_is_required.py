@@ -9,7 +9,7 @@ from build import mesh_shape, point_light
 from meshes import bumpy_sphere, icosphere
 from test_real_scenes import LAMP, ball_light, empty, glass, medium, panel, sky, spot, sun, to
 
-from mitsuba_refscatter import platform
+from mitsuba_refscatter import missing, platform
 
 pytestmark = [
     pytest.mark.usefixtures("rgb"),
@@ -75,14 +75,19 @@ def rich(path):
     )  # fmt: skip
 
 
-def test_a_simple_scene_pays_nothing_for_a_rich_one(tmp_path):
+def test_a_simple_scene_pays_nothing_for_a_rich_one(tmp_path, monkeypatch):
     """Its kernels are the same before and after the rich one is rendered, and hold no choice between objects, no shadow
-    ray, and fewer rays: those of the camera alone."""
+    ray, and fewer rays: those of the camera alone. With the estimate of missing light they are the same, too."""
     simple = scene(tmp_path / "simple.ply", icosphere(2))
+    monkeypatch.setattr(missing, "silent", False)
+    with_estimate = Kernels(simple)
+    monkeypatch.setattr(missing, "silent", True)
     before = Kernels(simple)
     all_of_it = Kernels(rich(tmp_path / "rich.ply"))
     after = Kernels(simple)
-    assert before.hashes == after.hashes
+    assert before.hashes == after.hashes < with_estimate.hashes
+    monkeypatch.setattr(missing, "silent", False)
+    assert Kernels(simple).hashes == with_estimate.hashes and with_estimate.count(CALL) == 0
     assert all_of_it.count(CALL) > 0 and all_of_it.shadow_rays > 0
     assert before.count(CALL) == 0 and before.shadow_rays == 0
     assert before.count(NEAREST_HIT) == 2  # to the body, and in it

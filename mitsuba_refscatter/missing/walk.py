@@ -42,7 +42,9 @@ def meet(scene, o, d, active):
     boundary = hit & (target != NONE)
     first = dr.gather(mi.UInt32, scene.first_record, target, boundary)
     tri = triangle.gather(scene.records, dr.select(boundary, first + pi.prim_index, 0), boundary)
-    plain = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit & ~boundary).n
+    plain = mi.Normal3f(0)
+    if scene.others:  # else kernels hold no shapes' code
+        plain = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit & ~boundary).n
     leaving = boundary & (dr.dot(d, tri.Ng) > 0)
     near, behind = (scene.near(target, side, boundary) for side in (leaving, ~leaving))
     normals = (dr.select(boundary, n, mi.Vector3f(plain)) for n in (tri.Ng, tri.normal(pi.prim_uv.x, pi.prim_uv.y)))
