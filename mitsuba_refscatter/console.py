@@ -55,7 +55,9 @@ def logged_on_stderr():
     import mitsuba as mi
 
     class Stderr(mi.Appender):
-        def append(self, _level, text):
+        def append(self, level, text):
+            if level == mi.LogLevel.Warn:
+                text = f"Warning: {text.removeprefix('refscatter: ')}"
             err.print(text, markup=False, highlight=False)
 
         def log_progress(self, *_):

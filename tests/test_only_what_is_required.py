@@ -85,7 +85,7 @@ def test_a_simple_scene_pays_nothing_for_a_rich_one(tmp_path, monkeypatch):
     before = Kernels(simple)
     all_of_it = Kernels(rich(tmp_path / "rich.ply"))
     after = Kernels(simple)
-    assert before.hashes == after.hashes < with_estimate.hashes
+    assert before.hashes == after.hashes
     monkeypatch.setattr(missing, "silent", False)
     assert Kernels(simple).hashes == with_estimate.hashes and with_estimate.count(CALL) == 0
     assert all_of_it.count(CALL) > 0 and all_of_it.shadow_rays > 0

@@ -139,18 +139,12 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         seed = seed_from(sampler) if self.options.estimator == "point" else 0
         return scatter(prepared, paths, ray, n, batch, seed, detail, progress)
 
-    def _tell(self, prepared, paths):
+    def _tell(self, sentences):
         """Warns of what is missing, once per render and sentence."""
-
-        def tell(sentences):
-            for sentence in sentences:
-                if sentence not in self.told:
-                    mi.Log(mi.LogLevel.Warn, f"refscatter: {sentence}.")
-                self.told.add(sentence)
-
-        prepared.once(lambda: tell(self.missing_in_media(prepared.scene)), "missing in media")
-        if self.options.surfaces and paths.ends:
-            prepared.once(lambda: tell(missing.on_surfaces(prepared.scene, paths.ends)), "missing on surfaces")
+        for sentence in sentences:
+            if sentence not in self.told:
+                mi.Log(mi.LogLevel.Warn, f"refscatter: {sentence}.")
+            self.told.add(sentence)
 
     def _sample(self, prepared, medium, sampler, ray, ray_weight, active, batch, progress):
         """One wavefront of camera rays: chain, single scattering along it, surfaces at its ends.
@@ -161,14 +155,14 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         n, opt = dr.width(ray), self.options
         wanted = options.aov_list(opt)
         ray = mi.Ray3f(ray)
+        # Of a few rays nothing is told: the estimate would cost more than they do.
+        tells = prepared.whole or n >= tolerances.MISSING_PHOTONS
+        if tells:
+            prepared.once(lambda: self._tell(self.missing_in_media(prepared.scene)), "missing in media")
         start = prepared.start(medium, ray)
         paths = camera.trace(
             prepared.scene, ray, active, start, opt.internal_bounces, opt.surfaces, prepared.accuracy.weight
         )
-        if (
-            prepared.whole or n >= tolerances.MISSING_PHOTONS
-        ):  # for a few rays the estimate would cost more than they do
-            self._tell(prepared, paths)
         detail = bool({"candidates", "contributions"} & set(wanted))
         single = self.scatter(prepared, paths, ray, n, batch, sampler, detail, progress)
         unresolved = single.unresolved > dr.opaque(mi.Float, opt.tolerance) * dr.max(single.value)
@@ -176,6 +170,10 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         shown, hit = mi.Spectrum(0), paths.hit
         if opt.surfaces:
             shown, hit = shade(self.nested, prepared.scene.mi_scene, paths, sampler, ray, n)
+            if tells and paths.ends:
+                prepared.once(
+                    lambda: self._tell(missing.on_surfaces(prepared.scene, paths.ends)), "missing on surfaces"
+                )
         extra = {
             "single_scatter": lambda: film.to_rgb(ray_weight * single.value, ray.wavelengths),
             "surfaces": lambda: film.to_rgb(ray_weight * shown + dr.zeros(mi.Spectrum, n), ray.wavelengths),
