@@ -1,4 +1,7 @@
-"""Photon points and photon beams: they converge to the curve's image as photons grow in number and their radius shrinks."""
+"""Photon points and photon beams: they converge to the curve's image as photons grow in number and their radius shrinks.
+
+Camera rays, boundaries and media are those of the package on both sides; how light comes to the camera's segments is not.
+"""
 
 from dataclasses import replace
 
@@ -55,18 +58,29 @@ def ratio_of_means(a, b):
     return a.mean() / b.mean(), error
 
 
+def assert_means_agree(what, found, expected, within=0.01):
+    """Within that share, and within three standard errors of the mean over independent photons and what a radius blurs out of bodies."""
+    ratio, error = ratio_of_means(found, expected)
+    print(f"{what}: {ratio:.4f} +- {error:.4f}")
+    assert error < 0.4 * within and abs(ratio - 1) < min(within, 3 * error + BLUR)
+
+
 def by_curve(scene, **options):
     return build.single_scattering(scene, *rays(), **{"internal_bounces": 1, **options})
 
 
+def means_by_curve(scene):
+    """The same of a light that is drawn, several times over, each ray with light points of its own: eight means over all rays."""
+    o, d = (np.tile(x, (12, 1)) for x in rays())
+    options = {"internal_bounces": 1, "culling": "spindle"}
+    return np.array([build.single_scattering(scene, o, d, seed=k, **options).mean() for k in range(8)])
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_means_agree_with_the_curve(tmp_path, mode):
-    """Within 1 %, and within three standard errors of the mean over independent photons and what a radius blurs out of bodies."""
     scene = load(tmp_path)
     expected, found = by_curve(scene), by_photons(scene, mode, MANY[mode], 8)
-    ratio, error = ratio_of_means(found.mean(axis=(1, 2)), expected.mean(keepdims=True).ravel())
-    print(f"{mode}: {ratio:.4f} +- {error:.4f}")
-    assert error < 0.005 and abs(ratio - 1) < min(0.01, 3 * error + BLUR)
+    assert_means_agree(mode, found.mean(axis=(1, 2)), expected.mean(keepdims=True).ravel())
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -105,15 +119,12 @@ LONG = ("sphere", "disk", "sky", "two")
 
 @pytest.mark.parametrize("name", build.slow_ones(LIGHTS, LONG))
 def test_lights(tmp_path, name):
-    """Every kind of light sends photons; several at once share them. Of ours as many runs as its light points need."""
-    scene = load(tmp_path, **LIGHTS[name]())
-    runs = 48 if name in ("sphere", "disk", "sky") else 1
-    ours = np.array([by_curve(scene, seed=k, culling="spindle").mean() for k in range(runs)])
+    """Every kind of light sends photons; several at once share them. Lights that are drawn have the noise of both sides: 3 %."""
+    scene, drawn = load(tmp_path, **LIGHTS[name]()), name in ("sphere", "disk", "sky")
+    ours = means_by_curve(scene) if drawn else by_curve(scene).mean(keepdims=True).ravel()
     for mode in MODES:
-        theirs = by_photons(scene, mode, MANY[mode], 8, radius=0.02).mean(axis=(1, 2))
-        ratio, error = ratio_of_means(theirs, ours)
-        print(f"{mode}, {name}: {ratio:.4f} +- {error:.4f}")
-        assert error < 0.015 and abs(ratio - 1) < 3 * error + BLUR, mode
+        theirs = by_photons(scene, mode, MANY[mode], 16 if drawn else 8, radius=0.02).mean(axis=(1, 2))
+        assert_means_agree(f"{mode}, {name}", theirs, ours, 0.03 if drawn else 0.01)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -131,17 +142,20 @@ def test_places(tmp_path, mode, place):
             "bubble": {"type": "cube", "bsdf": glass(1 / 1.5), "to_world": to(("scale", 0.3)), "exterior": amber}},
         "phase function": lambda: {"body": body(tmp_path, g=0.7)},
         "outer medium": lambda: {
-            "medium": medium(), "body": body(tmp_path, exterior=fog),
+            "medium": medium(albedo=(0, 0, 0)), "body": body(tmp_path, exterior=fog),
             "fog": {"type": "cube", "bsdf": {"type": "null"}, "to_world": to(("scale", 1.6)), "interior": fog}},
         "facets": lambda: {"body": build.mesh_shape(coarse, tmp_path / "body.ply")},
         "eta below 1": lambda: {"body": body(tmp_path, eta=0.8)},
     }[place]()  # fmt: skip
     scene = load(tmp_path, **more)
-    # Without internal reflections: where they are total, in corners, nearly all light that is seen is next to a boundary.
-    theirs = by_photons(scene, mode, MANY[mode], 8, radius=0.02, internal_bounces=0).mean(axis=(1, 2))
-    ratio, error = ratio_of_means(theirs, by_curve(scene, internal_bounces=0).mean(keepdims=True).ravel())
-    print(f"{mode}, {place}: {ratio:.4f} +- {error:.4f}")
-    assert error < 0.015 and abs(ratio - 1) < 3 * error + BLUR
+    # Without internal reflections: where they are total, in corners, nearly all light that is seen is next to a boundary. Through the
+    # boundary of another medium the body is the second that is hit from outside.
+    bounces = 1 if place == "outer medium" else 0
+    theirs = by_photons(scene, mode, MANY[mode], 8, radius=0.02, internal_bounces=bounces).mean(axis=(1, 2))
+    assert np.ptp(theirs) > 0  # of what comes straight photons bring nothing, and nothing would be compared
+    assert_means_agree(
+        f"{mode}, {place}", theirs, by_curve(scene, internal_bounces=bounces).mean(keepdims=True).ravel()
+    )
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -59,6 +59,11 @@ def spot():
             "texture": {"type": "checkerboard", "to_uv": to(("scale", [3, 3, 1]))}}  # fmt: skip
 
 
+def projector():
+    down = mi.ScalarTransform4f().look_at(origin=[0.8, 4, 1], target=[0, 0, 0], up=[1, 0, 0])
+    return {"type": "projector", "to_world": down, "fov": 26.0, "irradiance": textured(), "scale": 3.0}
+
+
 def sun():
     return {"type": "directional", "direction": [-0.4, -1, -0.6], "irradiance": colour(3, 2, 1)}
 
@@ -68,6 +73,7 @@ SLOW = dict(ours=(8, 16), theirs=(48, 256))
 LIGHTS = {
     "point": Case(lambda: {"light": point_light(LAMP), "body": cube()}),
     "spot": Case(lambda: {"light": spot(), "body": cube()}),
+    "projector": Case(lambda: {"light": projector(), "body": cube()}),
     "directional": Case(lambda: {"light": sun(), "body": cube()}),
     "sphere": Case(lambda: {"light": ball_light(radius=0.3), "body": cube()}, options=OWN),
     "rectangle": Case(lambda: {"light": panel("rectangle"), "body": cube()}, options=OWN),
@@ -77,6 +83,7 @@ LIGHTS = {
     "mesh": Case(lambda: {"light": panel("cube", ("scale", 0.4), radiance=4.0), "body": cube()}, options=OWN),
     "constant": Case(lambda: {"light": {"type": "constant", "radiance": colour(1, 2, 3)}, "body": cube()}, options=OWN),
     "envmap": Case(lambda: {"light": sky(), "body": cube()}, options=OWN),
+    "sunsky": Case(lambda: {"light": {"type": "sunsky", "sun_direction": [0.5, 0.6, 0.4]}, "body": cube()}, options=OWN),
     "several": Case(lambda: {"a": sky(), "b": sun(), "c": panel("disk"), "d": ball_light(), "e": spot(),
                              "f": point_light(LAMP), "body": cube()}, options=OWN),
     "pool": Case(lambda: {"a": sky(), "c": panel("disk"), "d": ball_light(), "body": cube()},
@@ -217,7 +224,8 @@ CASES = {
 }
 
 
-LONG = ("boundary open water", "boundary sphere", "light pool", "light pool through glass", "place light in a bubble")
+LONG = ("boundary open water", "boundary sphere", "light pool", "light pool through glass", "light projector", "light sunsky",
+        "place light in a bubble")  # fmt: skip
 """Half a minute each, most of it for kernels: of a kind that others are of, too."""
 
 

@@ -1,7 +1,11 @@
 """The list of what a scene may hold: each entry that is refused is refused with its words, each that is supported has
 scenes that are compared with something else, and the README shows the list."""
 
+import dataclasses
+import inspect
 import re
+import struct
+import zlib
 from pathlib import Path
 
 import drjit as dr
@@ -13,9 +17,11 @@ import test_real_scenes as real
 from faults import BALL, HONEY, Maker, amber, glass, moved, rectangle, refused, render, sensor, with_faces
 from test_bad_input import FLIPPED
 from test_camera_side import CUP
+from test_fuzz import write_obj
 from test_refusals import with_fins
 from test_unsupported import BOUNDARIES, MEDIA, OVERLAPPING
 
+from mitsuba_refscatter.options import Options
 from mitsuba_refscatter.scene import support
 
 
@@ -86,35 +92,24 @@ def test_refused(make, key):
 
 # ---- Supported -------------------------------------------------------------------------------
 
-SUPPORTED = {
-    "point": [real.BOUNDARIES["null"], test_lights.test_airlight],
-    "spot": [real.LIGHTS["spot"], test_lights.test_spot],
-    "directional": [real.LIGHTS["directional"], test_lights.test_directional],
-    "area": [real.LIGHTS[name] for name in ("sphere", "rectangle", "disk", "cylinder", "mesh", "sphere through glass")],
-    "environment": [real.LIGHTS[name] for name in ("constant", "envmap", "envmap through glass")],
-    "several": [real.LIGHTS[name] for name in ("several", "pool", "pool through glass")],
-    "dielectric": [real.BOUNDARIES[name] for name in ("eta above 1", "eta below 1", "eta of 1")],
-    "straight": [real.BOUNDARIES[name] for name in ("null", "thin", "thin from behind", "two straight ones")],
-    "tints": [real.BOUNDARIES[name] for name in ("tinted", "thin and tinted")],
-    "mesh": [real.BOUNDARIES["open water"], test_lights.test_under_water],
-    "analytic": [real.BOUNDARIES[name] for name in ("sphere", "closed cylinder")],
-    "instance": [real.PLACES["instances"]],
-    "camera": [real.PLACES[name] for name in ("camera inside", "camera under water", "no boundary")],
-    "light inside": [real.PLACES[name] for name in ("light inside", "both inside", "light in a bubble")],
-    "opaque": [real.PLACES[name] for name in ("opaque outside", "opaque inside")],
-    "bodies": [real.PLACES["two bodies"], real.PLACES["standing on another"], test_lights.test_bodies_that_touch],
-    "nested": [real.PLACES["bubble in glass"], test_lights.test_hollow_shell],
-    "seen": [real.PLACES["in a mirror"], real.PLACES["through glass"]],
-    "glass between": ["test_glass_between_is_a_shadow"],
-    "homogeneous": [real.BOUNDARIES["open water"]],
-    "hg": [test_lights.test_airlight],
-    "phase": list(real.PHASES),
-}
-"""Where each entry is compared with volpath, the oracle or a closed form."""
+
+def test_formats_of_meshes(make):
+    """The same ball from all of them."""
+    images = {"ply": render(make.scene())}
+    write_obj(BALL, make.folder / "ball.obj")
+    write_serialized(BALL, make.folder / "ball.serialized")
+    for kind in ("obj", "serialized"):
+        shape = make.ball(type=kind, filename=str(make.folder / f"ball.{kind}"))
+        images[kind] = render(make.scene(ball=shape))
+        np.testing.assert_allclose(images[kind], images["ply"], rtol=1e-4, atol=1e-5 * images["ply"].max())
 
 
-def test_every_entry_is_compared():
-    assert SUPPORTED.keys() == support.SUPPORTED.keys() and all(SUPPORTED.values())
+def write_serialized(mesh, path):
+    """One mesh with normals in the format of Mitsuba's documentation, version 4, single precision."""
+    parts = struct.pack("<IBQQ", 0x1001, 0, len(mesh.vertices), len(mesh.faces))
+    arrays = ((mesh.vertices, "<f4"), (mesh.normals, "<f4"), (mesh.faces, "<u4"))
+    body = zlib.compress(parts + b"".join(np.asarray(x, kind).tobytes() for x, kind in arrays))
+    path.write_bytes(struct.pack("<HH", 0x041C, 4) + body + struct.pack("<QI", 0, 1))
 
 
 def test_glass_between_is_a_shadow(make):
@@ -124,3 +119,57 @@ def test_glass_between_is_a_shadow(make):
     clear, board = (render(make.scene(pane=pane)) for pane in panes)
     assert 0 < board.sum() < 0.9 * render(make.scene()).sum()
     np.testing.assert_allclose(clear, board, rtol=1e-3, atol=1e-3 * board.max())
+
+
+SUPPORTED = {
+    "point": ["boundary null", test_lights.test_airlight],
+    "spot": ["light spot", "light projector", test_lights.test_spot],
+    "directional": ["light directional", test_lights.test_directional],
+    "area": [f"light {name}" for name in ("sphere", "rectangle", "disk", "cylinder", "mesh", "sphere through glass")],
+    "environment": [f"light {name}" for name in ("constant", "envmap", "sunsky", "envmap through glass")],
+    "several": [f"light {name}" for name in ("several", "pool", "pool through glass")],
+    "dielectric": [f"boundary {name}" for name in ("eta above 1", "eta below 1", "eta of 1")],
+    "straight": [f"boundary {name}" for name in ("null", "thin", "thin from behind", "two straight ones")],
+    "tints": [f"boundary {name}" for name in ("tinted", "thin and tinted")],
+    "mesh": ["boundary open water", "boundary eta above 1", test_lights.test_under_water, test_formats_of_meshes],
+    "analytic": [f"boundary {name}" for name in ("sphere", "closed cylinder")],
+    "instance": ["place instances"],
+    "camera": [f"place {name}" for name in ("camera inside", "camera under water", "no boundary")],
+    "light inside": [f"place {name}" for name in ("light inside", "both inside", "light in a bubble")],
+    "opaque": [f"place {name}" for name in ("opaque outside", "opaque inside")],
+    "bodies": ["place two bodies", "place standing on another", test_lights.test_bodies_that_touch],
+    "nested": ["place bubble in glass", test_lights.test_hollow_shell],
+    "seen": ["place in a mirror", "place through glass"],
+    "glass between": [test_glass_between_is_a_shadow],
+    "homogeneous": ["boundary open water"],
+    "hg": [test_lights.test_airlight],
+    "phase": [f"phase {name}" for name in real.PHASES],
+}
+"""Where each entry is compared with volpath, the oracle or a closed form: names of cases of ``test_real_scenes``, and tests."""
+
+
+def described(place):
+    """What a case or a test holds, as text: the scene, or the code of the test and of the helpers that it calls."""
+    if isinstance(place, str):
+        return str([real.CASES[place].parts(), real.CASES[place].medium()])
+    todo, seen = [place], {}
+    while todo:
+        function = inspect.unwrap(todo.pop())
+        if inspect.isfunction(function) and function not in seen:
+            seen[function] = inspect.getsource(function)
+            todo += [function.__globals__.get(name) for name in function.__code__.co_names]
+    return "".join(seen.values())
+
+
+@pytest.mark.parametrize("key", support.SUPPORTED)
+def test_every_entry_is_compared(rgb, key):
+    """Each plugin and property that the entry names stands in one of its scenes; and what pytest runs are all of them."""
+    places = SUPPORTED[key]
+    tests = [place for place in places if not isinstance(place, str)]
+    assert places and all(
+        hasattr(inspect.getmodule(test), test.__name__) and test.__name__.startswith("test_") for test in tests
+    )
+    text = "".join(map(described, places))
+    options = {field.name for field in dataclasses.fields(Options)}
+    for name in set(re.findall(r"`(\w+)`", support.SUPPORTED[key].name)) - options:
+        assert re.search(rf"\b{name}\b", text), f"no scene with {name}"

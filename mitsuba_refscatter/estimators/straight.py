@@ -14,6 +14,7 @@ import numpy as np
 
 from .. import lanes, tolerances
 from ..geometry.interval import gauss_legendre
+from ..scene.lights import Profile
 
 
 def angle_panels(phase, accuracy):
@@ -57,7 +58,7 @@ def scatter(segments, source, emission, phase, directed, way, accuracy, angles):
     """
     integrand = _Integrand(segments, source, emission, phase, directed, way)
     panels = _ByDepth(segments) if source.distant else _ByAngle(segments, source.L, angles)
-    total = _integrate(panels, integrand, len(segments), accuracy, way is not None)
+    total = _integrate(panels, integrand, len(segments), accuracy, way is not None or integrand.has_rim)
     dr.eval(total)
     return total
 
@@ -137,6 +138,7 @@ class _Integrand:
     def __init__(self, segments, source, emission, phase, directed, way):
         self.segments, self.source, self.emission, self.phase = segments, source, emission, phase
         self.directed, self.way = directed, way
+        self.has_rim = isinstance(emission, Profile)
 
     def look(self, t, active):
         """V at t, direction to the light, its distance, what is left on the way from there, and the number of that way."""
@@ -151,6 +153,13 @@ class _Integrand:
         distance = tolerances.ENDLESS if self.source.distant else d_L
         return V, omega_L, d_L, *self.way(V, omega_L, distance, active)
 
+    def number(self, t, active):
+        """A number that changes where the integrand jumps: with the way, and where a spot's or a projector's light ends."""
+        V, omega_L, d_L, _, number = self.look(t, active)
+        if self.has_rim:
+            number = 2 * number + dr.select(dr.any(self.emission(V, omega_L, d_L) > 0), mi.UInt32(1), 0)
+        return number
+
     def __call__(self, t, active):
         V, omega_L, d_L, left, _ = self.look(t, active)
         value = left * dr.exp(-self.segments.sigma_t * t) * self.phase(-omega_L, self.segments.d)
@@ -163,7 +172,7 @@ def _integrate(panels, integrand, n, accuracy, jumps):
     count = dr.opaque(mi.UInt32, panels.count(accuracy.panels))
 
     def number(t, active=True):
-        return integrand.look(t, active)[-1] if jumps else mi.UInt32(0)
+        return integrand.number(t, active) if jumps else mi.UInt32(0)
 
     def gauss(a, b, active):
         total = mi.Spectrum(0)
