@@ -19,6 +19,8 @@ from meshes import icosphere
 from test_cli import COMMAND, ENVIRONMENT, HANGS, ROOT, needs_variant
 
 SCENES = int(os.environ.get("REFSCATTER_FUZZ_SCENES", "100"))
+ENOUGH = 100
+"""Damaged scenes of which some render: about a tenth does, and of 100 none with a probability of 3e-5."""
 
 NUMBERS = [
     "0",
@@ -120,7 +122,7 @@ def originals(folder):
 
 
 def attempt(folder, files, rng):
-    """Damages one file, renders, and returns what is wrong with how the command took it, None if nothing is."""
+    """Damages one file, renders, and returns what is wrong with how the command took it, None if nothing is; and whether it rendered."""
     kind = rng.choice(["xml", "xml", "ply", "obj", "ascii"])
     name = "ball.obj" if kind == "obj" else "ball.ply"
     text = files["xml"].replace('type="ply"', 'type="obj"').replace("ball.ply", name) if kind == "obj" else files["xml"]
@@ -137,38 +139,41 @@ def attempt(folder, files, rng):
             command, capture_output=True, text=True, timeout=HANGS, cwd=folder, env=ENVIRONMENT, errors="replace"
         )
     except subprocess.TimeoutExpired:
-        return f"{kind}: hangs"
+        return f"{kind}: hangs", False
     told = [line for line in done.stderr.splitlines() if line.startswith("refscatter: ")]
     left = {p.name for p in folder.iterdir()} - {"scene.xml", "ball.ply", "ball.obj", "out.exr", "out.png"}
     if left:
-        return f"{kind}: leaves {left}"
+        return f"{kind}: leaves {left}", False
     if done.returncode == 0:
         if not (folder / "out.exr").exists():
-            return f"{kind}: no picture and no error"
+            return f"{kind}: no picture and no error", False
         image = np.array(mi.Bitmap(str(folder / "out.exr")), dtype=np.float64)
         if not np.isfinite(image).all() or (image < 0).any():
-            return f"{kind}: the picture holds NaN, infinity or negative numbers"
-        return None
+            return f"{kind}: the picture holds NaN, infinity or negative numbers", False
+        return None, True
     if done.returncode not in (1, 2) or "Traceback" in done.stderr or (done.returncode == 1 and len(told) != 1):
-        return f"{kind}: exit code {done.returncode}: {done.stderr[-400:]}"
-    return None if not (folder / "out.exr").exists() else f"{kind}: a picture in spite of an error"
+        return f"{kind}: exit code {done.returncode}: {done.stderr[-400:]}", False
+    return (f"{kind}: a picture in spite of an error" if (folder / "out.exr").exists() else None), False
 
 
 @pytest.mark.slow
 @needs_variant
 def test_damaged_files(rgb, tmp_path):
     """Each with a seed that is printed, and kept with its files if it fails."""
-    files, failed = originals(tmp_path), []
+    files, rendered, failed = originals(tmp_path), 0, []
     first = int(os.environ.get("REFSCATTER_FUZZ_SEED", time.time_ns() % 1_000_000_000))
     print(f"{SCENES} damaged scenes from seed {first}")
     for seed in range(first, first + SCENES):
         folder = Path(tmp_path / str(seed))
         folder.mkdir()
-        wrong = attempt(folder, files, random.Random(seed))
+        wrong, well = attempt(folder, files, random.Random(seed))
+        rendered += well
         if wrong is None:
             shutil.rmtree(folder)
         else:
             failed.append(f"seed {seed} in {folder}: {wrong}")
             if len(failed) == 10:
                 break
+    print(f"of which {rendered} rendered")
     assert not failed, "\n".join(failed)
+    assert SCENES < ENOUGH or 0 < rendered < SCENES, "all of them are taken alike"

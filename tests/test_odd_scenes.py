@@ -78,10 +78,12 @@ def test_meshes_of_one_shape(make, name):
 
 
 def test_one_triangle(make):
-    """A boundary that encloses nothing: its medium is seen only where a ray behind it leaves by it."""
+    """A boundary that encloses nothing: light comes in by it, and is seen by rays that come in by it, not by those beside."""
     alone = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]), None)
-    found = render(make.scene(ball=make.ball(alone)))
-    assert np.isfinite(found).all() and (found >= 0).all()
+    scene = make.scene(ball=make.ball(alone), lamp=build.point_light((0.3, 0.2, 3)))
+    o, d = build.rays_towards((0, 0, 5), [(0.3, 0.3, 0), (0.1, 0.7, 0), (0.6, 0.6, 0), (-0.1, 0.3, 0)])
+    found = build.single_scattering(scene, o, d)
+    assert np.isfinite(found).all() and (found[:2] > 1e-6).all() and (found[2:] == 0).all()
 
 
 @pytest.mark.parametrize("boundary", [{"type": "null"}, {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}])

@@ -116,5 +116,6 @@ def test_scenes_load_and_are_lit(name, variant):
     assert body.is_mesh() and body.has_vertex_normals() and body.interior_medium() is not None
     assert body.face_count() == scenes.SCENES[name].triangles
     assert 'value="256"' in text and 'component_format" value="float32"' in text
-    box, light = body.bbox(), scene.emitters()[0].bbox().center()
-    assert not box.contains(light), "the light is outside"
+    places = [emitter.bbox().center() for emitter in scene.emitters() if emitter.bbox().valid()]
+    assert places or name == "underwater"  # whose lights are distant
+    assert not any(body.bbox().contains(place) for place in places), "a light is inside"
