@@ -18,9 +18,10 @@ render: $(VENV)/.package llvm
 test: $(VENV)/.test llvm
 	$(BIN)/python -m pytest -n 2
 
+# worksteal: tests of a file stay together, and neither half waits long for the other.
 test-all: $(VENV)/.test llvm
-	$(BIN)/python -m pytest -n 2 -m "" --references-anew
-	$(BIN)/python -m pytest --nbmake notebooks
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "" --references-anew
+	$(BIN)/python -m pytest -n 2 --dist worksteal --nbmake notebooks
 
 # Without the test of a full disk, on which coverage itself can't be written.
 coverage: $(VENV)/.test llvm
@@ -38,7 +39,7 @@ format: $(VENV)/.test
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
 
-# Something that Dr.Jit can compile with: a usable LLVM or, if there is none, a GPU.
+# Something that Dr.Jit can compile with: a usable LLVM or GPU.
 llvm: $(VENV)/.package
 	@.ci/ensure-llvm $(BIN)/python
 
@@ -52,5 +53,5 @@ $(VENV)/.test: $(VENV)/.package
 	@touch $@
 
 clean:
-	rm -rf $(VENV) .cache renders build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .cache renders build *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
