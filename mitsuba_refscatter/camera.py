@@ -16,6 +16,7 @@ import numpy as np
 from . import lanes, optics, tolerances
 from .geometry import triangle
 from .scene import NONE, holds, hole_refusal, refusal, side_refusal
+from .transport.segments import CameraSegments
 
 
 @dataclass
@@ -47,16 +48,21 @@ class Legs:
 class Paths:
     """What a set of camera rays meets.
 
-    ``segments``: a list, per region, of ``(o, back, d, t_max, weight, sample)``: from o + back on, o in world coordinates;
+    ``parts``: per region a list of ``CameraSegments``, those of each step of the chains;
     ``ends``: ``Legs`` that reach a plain surface or escape (their weight includes the way there);
     ``direct``: whether the first of these are the camera rays that meet no boundary or mirror; ``hit``: per camera ray, whether
     it hits anything.
     """
 
-    segments: list
+    parts: list
     ends: list
     direct: bool
     hit: object
+
+    def segments(self, region):
+        """``CameraSegments`` in a ``Region``, or None where there are none."""
+        parts = self.parts[region.index]
+        return CameraSegments.concat(parts) if parts else None
 
 
 def trace(scene, ray, active, start, internal_bounces, surfaces, min_weight):
@@ -108,7 +114,7 @@ def _advance(scene, ray, legs, paths, first, internal_bounces, surfaces, again, 
     )
     dr.eval(arriving, legs.weight, legs.region)
 
-    _record(scene, legs, hit, length, paths)
+    _record(scene, legs, ray.wavelengths, hit, length, paths)
     if surfaces:
         kept = dr.compress(dr.select(hit, ~boundary & ~mirror, dr.max(arriving.weight) > 0))
         if dr.width(kept) > 0:
@@ -193,7 +199,7 @@ def _make_up(scene, legs, target, leaving, here, other):
     return dr.select(other & ~behind, factor, 1)
 
 
-def _record(scene, legs, hit, length, paths):
+def _record(scene, legs, wavelengths, hit, length, paths):
     """Adds the parts of legs in regions that scatter to the segments."""
     for region in scene.regions:
         if region.scatters:
@@ -201,7 +207,11 @@ def _record(scene, legs, hit, length, paths):
             if dr.width(kept) > 0:
                 s, t = legs.gather(kept), dr.gather(mi.Float, length, kept)
                 t = dr.minimum(t, dr.opaque(mi.Float, region.reach)) if region.reach else t
-                paths.segments[region.index].append((s.o, s.back, s.d, t, s.weight, s.sample))
+                found = CameraSegments(
+                    origin=s.o, offset=s.back, direction=s.d, length=t, region=region.index, weight=s.weight, sample=s.sample,
+                    wavelengths=lanes.of(wavelengths, s.sample),
+                )  # fmt: skip
+                paths.parts[region.index].append(found)
 
 
 def _split(

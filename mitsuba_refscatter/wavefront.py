@@ -4,7 +4,7 @@ Segments go in, radiance comes out. Each stage is one kernel per chunk; the chun
 buffer of pairs allows: a chunk whose pairs do not fit is traversed again in two halves.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
@@ -16,39 +16,7 @@ from .estimators import point
 from .estimators.chord import reaches
 from .estimators.lighting import Lighting, Sums
 from .geometry import bvh
-
-
-@dataclass
-class Segments:
-    """Camera segments inside one body, in body coordinates: ``o + t d``, 0 < t < t_max.
-
-    ``sigma_t``: extinction, a Spectrum of width 1 or one per segment.
-    """
-
-    o: object
-    d: object
-    t_max: object
-    sigma_t: object
-
-    def gather(self, index, active=True):
-        """Geometry of the segments at ``index``; ``sigma_t`` stays as it is (``sigma_t_of``)."""
-        return replace(self, o=dr.gather(type(self.o), self.o, index, active),
-                       d=dr.gather(type(self.d), self.d, index, active),
-                       t_max=dr.gather(type(self.t_max), self.t_max, index, active))  # fmt: skip
-
-    def sigma_t_of(self, index):
-        """Extinction of the segments at ``index``."""
-        if dr.width(self.sigma_t) == 1:
-            return self.sigma_t
-        return dr.gather(type(self.sigma_t), self.sigma_t, index)
-
-    @property
-    def inverse_d(self):
-        """1 / d, finite."""
-        return bvh.finite_inverse(self.d)
-
-    def __len__(self):
-        return dr.width(self.t_max)
+from .transport.segments import LocalSegments
 
 
 @dataclass
@@ -191,7 +159,7 @@ class Work:
     segment."""
 
     sums: Sums
-    segments: Segments
+    segments: LocalSegments
     bundles: Bundles
     culling: object
     lighting: Lighting

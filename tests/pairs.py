@@ -19,6 +19,7 @@ from mitsuba_refscatter.estimators.lighting import Sums
 from mitsuba_refscatter.geometry import bvh
 from mitsuba_refscatter.kept import Kept
 from mitsuba_refscatter.options import Options
+from mitsuba_refscatter.transport.segments import LocalSegments
 
 SIGMA = 0.5
 """Extinction in 1/length, of bodies of about unit radius."""
@@ -212,7 +213,7 @@ class Culling:
 
     def segments(self, o, d, t_max):
         o, d = (np.asarray(x, np.float32).T for x in (o - self.body.centre, d))
-        return wavefront.Segments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max.astype(np.float32)), mi.Spectrum(SIGMA))
+        return LocalSegments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max.astype(np.float32)), mi.Spectrum(SIGMA))
 
     def work(self, segments, **changes):
         """The stages of the wavefront, with nothing summed yet."""

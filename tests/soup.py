@@ -17,6 +17,7 @@ from mitsuba_refscatter.estimators.lighting import Lighting, Sums
 from mitsuba_refscatter.geometry import triangle
 from mitsuba_refscatter.optics import Source
 from mitsuba_refscatter.solve import newton
+from mitsuba_refscatter.transport.segments import LocalSegments
 
 # patch; light, V (n,3); uv (n,2): a root that is known.
 Case = namedtuple("Case", "patch light V uv")
@@ -104,7 +105,7 @@ def points_as_segments(V):
     """Camera segments of no length."""
     V = mi.Point3f(np.asarray(V, np.float32).T)
     width = dr.width(V)
-    return wavefront.Segments(
+    return LocalSegments(
         V, mi.Vector3f(0, 0, 1) + dr.zeros(mi.Vector3f, width), dr.zeros(mi.Float, width), mi.Spectrum(0)
     )
 

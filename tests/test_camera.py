@@ -51,14 +51,12 @@ def trace(scene, o, d, internal_bounces, surfaces=False, min_weight=0.0):
 def segments(paths):
     """All segments of ``camera.Paths`` as the oracle gives them."""
     parts = []
-    for index, found in enumerate(paths.segments):
-        for o, back, d, t_max, weight, sample in found:
-            o = o + back
-            n = dr.width(sample)
-            weight = np.broadcast_to(np.array(weight).T, (n, 3))
-            parts.append(
-                [sample.numpy().astype(int), np.full(n, index), o.numpy().T, d.numpy().T, t_max.numpy(), weight]
-            )
+    for index, found in enumerate(paths.parts):
+        for part in found:
+            n = len(part)
+            weight = np.broadcast_to(np.array(part.weight).T, (n, 3))
+            arrays = (x.numpy().T for x in (part.start(), part.direction, part.length))
+            parts.append([part.sample.numpy().astype(int), np.full(n, index), *arrays, weight])
     return oracle.Segments(*(np.concatenate(x) for x in zip(*parts)))
 
 
@@ -207,7 +205,7 @@ def test_rays_that_are_not_active_are_left_out(rgb, tmp_path):
     some = camera.trace(found, ray, odd, NONE, 2, True, 0.0)
     assert set(segments(some).ray % 2) == {1} and not some.hit.numpy()[::2].any() and some.hit.numpy()[1::2].all()
     none = camera.trace(found, ray, mi.Bool(False), NONE, 2, True, 0.0)
-    assert not any(none.segments) and not none.ends
+    assert not any(none.parts) and not none.ends
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (0.5, -0.7, 0.6)], ids=["moved", "mirrored", "squeezed"])

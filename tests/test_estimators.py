@@ -8,12 +8,13 @@ import pytest
 from comparison import bias, l1
 from meshes import box, bumpy_sphere, icosphere
 
-from mitsuba_refscatter import tolerances, wavefront
+from mitsuba_refscatter import tolerances
 from mitsuba_refscatter.compare import convergence
 from mitsuba_refscatter.compare.methods import METHODS
 from mitsuba_refscatter.estimators import interval, point
 from mitsuba_refscatter.estimators.lighting import Lighting
 from mitsuba_refscatter.optics import Source
+from mitsuba_refscatter.transport.segments import LocalSegments
 
 COMBINATIONS = [
     (estimator, culling) for estimator in ("curve", "interval", "point") for culling in ("beams", "spindle")
@@ -147,7 +148,7 @@ def test_sample_points_of_segments(rgb, n):
     o, L = rng.normal(size=(3, count)), rng.normal(size=(3, count)) * 3
     d = rng.normal(size=(3, count))
     d /= np.linalg.norm(d, axis=0)
-    segments = wavefront.Segments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max), mi.Spectrum(sigma_t))
+    segments = LocalSegments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max), mi.Spectrum(sigma_t))
     lighting = Lighting(Source(mi.Point3f(L), mi.Float(1.5)), 1, None, None, None)
     total = np.zeros((3, count))
     for first in (0, n // 2):

@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parent.parent / "mitsuba_refscatter"
 # Modules and subpackages from the ground up. What uses Mitsuba only to describe a machine
 # or to write a file (platform, output) knows nothing of the others.
 ORDER = [
-    "spelling", "platform", "tolerances", "optics", "lanes", "kept", "sequence", "geometry", "scene", "missing", "visibility", "air", "solve",
+    "spelling", "platform", "tolerances", "optics", "lanes", "kept", "sequence", "geometry", "scene", "transport", "missing", "visibility", "air", "solve",
     "culling",
     "estimators", "wavefront", "camera", "options", "film", "integrators", "probing", "plugin", "scenes", "output",
     "compare", "meshcheck", "console", "comparing", "measuring", "cli", "__main__",

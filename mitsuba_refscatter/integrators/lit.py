@@ -18,7 +18,6 @@ from ..kept import BeamsKey, ChoiceKey, LevelsKey, RecordsKey, TreeKey, digest
 from ..scene import coarse, holds, parameters, read, region_of_camera
 from ..scene import lights as light_points
 from ..sequence import LIGHT, Sequence
-from ..wavefront import Segments
 from . import coarseness
 
 ESTIMATORS = {"curve": curve, "interval": interval, "point": point}
@@ -84,7 +83,7 @@ class Prepared:
     def _records_key(self, body):
         return self.scene.records_key if body.stands_for is None else RecordsKey((body.key,))
 
-    def instead(self, body, region, light, light_point, stretch, sigma_t):
+    def instead(self, body, region, light, light_point, segments, sigma_t):
         """The body, or one with a coarser mesh that refracts the light of a ``light`` as well as the tolerance asks for."""
         error = self.accuracy.coarse
         if error == 0 or self.culling != "beams" or self.estimator is not curve or light.exact is None:
@@ -96,13 +95,13 @@ class Prepared:
         once = self.once if self.scene.geometry is None else self.kept.once
 
         def choose():
-            some = coarseness.some(dr.width(stretch.t_max))
-            part, extinction = stretch.gather(some), lanes.of(sigma_t, some)
+            some = coarseness.some(len(segments))
+            part, extinction = segments.gather(some), lanes.of(sigma_t, some)
 
             def radiance(level):
                 lit = self.lit(level.of(body, self.scene, once), region, light_point, part.wavelengths)
-                segments = part.segments(body.centre, extinction)
-                return coarseness.radiance(segments, part.weight, *lit, self.accuracy, self.estimator)
+                local = part.from_boundary(body.centre, extinction)
+                return coarseness.radiance(local, part.weight, *lit, self.accuracy, self.estimator)
 
             def measure(i, j):
                 a, b = radiance(levels[i]), radiance(levels[j])
@@ -225,47 +224,18 @@ def turns(prepared, n, wavelengths, batch):
     return out
 
 
-@dataclass
-class Stretch:
-    """Camera segments of one region, with what comes before and after them on the way. They start at ``o`` (world coordinates) +
-    ``back``."""
-
-    o: object
-    back: object
-    d: object
-    t_max: object
-    weight: object
-    sample: object
-    wavelengths: object
-
-    def gather(self, index):
-        """Those at ``index``."""
-        wavelengths = lanes.of(self.wavelengths, index)
-        fields = (lanes.gather(x, index) for x in (self.o, self.back, self.d, self.t_max, self.weight, self.sample))
-        return Stretch(*fields, wavelengths)
-
-    def taking(self, turn):
-        """The segments that a ``Turn`` is for, its light points, one or one for each, and their intensities; None if there
-        are none."""
-        if turn.slot is None:
-            return self, turn.point, turn.point.intensity(self.wavelengths)
-        slot = dr.gather(mi.UInt32, turn.slot, self.sample)
-        kept = dr.compress(slot != lanes.NONE)
-        if dr.width(kept) == 0:
-            return None
-        stretch, slot = self.gather(kept), dr.gather(mi.UInt32, slot, kept)
-        if turn.value is None:
-            return stretch, turn.point, turn.point.intensity(stretch.wavelengths)
-        return stretch, turn.point.of(slot), lanes.of(turn.value, slot)
-
-    def segments(self, centre, sigma_t):
-        """As ``Segments`` in the coordinates of a body with this ``centre``."""
-        inside = self.inside(centre, sigma_t)
-        return replace(inside, o=mi.Point3f(inside.o + self.back))
-
-    def inside(self, centre, sigma_t):
-        """The same from off the boundary on, where rays can be traced from."""
-        return Segments(mi.Point3f(self.o - mi.Point3f(dr.opaque(mi.Point3f, centre))), self.d, self.t_max, sigma_t)
+def lit_by(segments, turn):
+    """The segments that a ``Turn`` is for, its light points, one or one for each, and their intensities; None if there are none."""
+    if turn.slot is None:
+        return segments, turn.point, turn.point.intensity(segments.wavelengths)
+    slot = dr.gather(mi.UInt32, turn.slot, segments.sample)
+    kept = dr.compress(slot != lanes.NONE)
+    if dr.width(kept) == 0:
+        return None
+    segments, slot = segments.gather(kept), dr.gather(mi.UInt32, slot, kept)
+    if turn.value is None:
+        return segments, turn.point, turn.point.intensity(segments.wavelengths)
+    return segments, turn.point.of(slot), lanes.of(turn.value, slot)
 
 
 def _ends_of(ray):
@@ -274,25 +244,16 @@ def _ends_of(ray):
     return [np.array(dr.gather(mi.Vector3f, mi.Vector3f(x), ends)).T for x in (ray.o, ray.d)]
 
 
-def stretch_of(paths, region, ray):
-    """``Stretch`` of all segments in a region."""
-    o, back, d, t_max, weight, sample = (lanes.concat(x) for x in zip(*paths.segments[region.index]))
-    return Stretch(o, back, d, t_max, weight, sample, lanes.of(ray.wavelengths, sample))
-
-
 def scatter(prepared, paths, ray, n, batch, seed, detail, progress, refracted=True):
     """Single scattering of all lights along all segments of the camera paths: ``Sums`` per camera sample, with the
     radiance itself as ``value``. ``refracted``: whether light that comes through refracting boundaries is summed, too."""
     scene, single = prepared.scene, Sums.nothing(n, detail)
-    regions = [region for region in scene.regions if paths.segments[region.index]]
-    work = (
-        [(region, turn) for turn in turns(prepared, n, ray.wavelengths, batch) for region in regions] if regions else []
-    )
-    stretches = {region.index: stretch_of(paths, region, ray) for region in regions}
-    if refracted and any(region.boundaries for region in regions):
+    along = [(region, paths.segments(region)) for region in scene.regions if paths.parts[region.index]]
+    work = [(*x, turn) for turn in turns(prepared, n, ray.wavelengths, batch) for x in along] if along else []
+    if refracted and any(region.boundaries for region, _ in along):
         prepared.warn_of_lights_at(ray)
-    for i, (region, turn) in enumerate(work):
-        taken = stretches[region.index].taking(turn)
+    for i, (region, segments, turn) in enumerate(work):
+        taken = lit_by(segments, turn)
         if taken is None:
             continue
         report = None if progress is None else lambda done, total, i=i: progress((i + done / total) / len(work))
@@ -303,18 +264,17 @@ def scatter(prepared, paths, ray, n, batch, seed, detail, progress, refracted=Tr
     return single.first(n)
 
 
-def _refracted(prepared, region, light, stretch, light_point, value, single, seed, detail, report):
+def _refracted(prepared, region, light, segments, light_point, value, single, seed, detail, report):
     """Adds light that comes in through the region's refracting boundaries."""
-    sigma_s, sigma_t = region.coefficients(stretch.wavelengths, stretch.d)
+    sigma_s, sigma_t = region.coefficients(segments.wavelengths, segments.direction)
     key = None if light.exact is None else light.index
     for body in region.boundaries:
-        body = prepared.instead(body, region, light, light_point, stretch, sigma_t)
-        lighting, culling = prepared.lit(body, region, light_point, stretch.wavelengths, key, light.exact is None)
+        body = prepared.instead(body, region, light, light_point, segments, sigma_t)
+        lighting, culling = prepared.lit(body, region, light_point, segments.wavelengths, key, light.exact is None)
         if culling is None:
             continue
-        segments = stretch.segments(body.centre, sigma_t)
         sums, counts = wavefront.scatter(
-            segments,
+            segments.from_boundary(body.centre, sigma_t),
             culling,
             lighting,
             prepared.accuracy,
@@ -325,8 +285,8 @@ def _refracted(prepared, region, light, stretch, light_point, value, single, see
             prepared.pace(body),
         )
         prepared.counts.add(counts)
-        tint = body.tint("specular_transmittance", stretch.wavelengths)
-        single.add_all(sums, stretch.weight * sigma_s * value * tint, stretch.sample)
+        tint = body.tint("specular_transmittance", segments.wavelengths)
+        single.add_all(sums, segments.weight * sigma_s * value * tint, segments.sample)
 
 
 def goes_straight(region, light, light_point):
@@ -341,13 +301,13 @@ def goes_straight(region, light, light_point):
     return bool((light.box[0] <= high).all() and (light.box[1] >= low).all())
 
 
-def _straight(prepared, region, stretch, light_point, value, single):
+def _straight(prepared, region, segments, light_point, value, single):
     """Adds light that comes straight."""
     scene = prepared.scene
-    sigma_s, sigma_t = region.coefficients(stretch.wavelengths, stretch.d)
+    sigma_s, sigma_t = region.coefficients(segments.wavelengths, segments.direction)
     at = region.body.centre if region.body is not None else [0.0, 0.0, 0.0]
     centre = dr.opaque(mi.Point3f, at)
-    air, start = Air(scene, stretch.wavelengths), dr.opaque(mi.UInt32, region.index)
+    air, start = Air(scene, segments.wavelengths), dr.opaque(mi.UInt32, region.index)
 
     def way(V, direction, distance, active):
         length = distance if light_point.distant else distance * (1 - tolerances.SHADOW_END)
@@ -355,11 +315,11 @@ def _straight(prepared, region, stretch, light_point, value, single):
 
     free = dr.width(light_point.L) == 1 and not region.admits and _nothing_between(scene, region)
     total = straight.scatter(
-        stretch.inside(at, sigma_t), light_point.source(mi.Float(1), centre),
-        light_point.emission(centre, stretch.wavelengths), region.phase, region.directed, None if free else way, prepared.accuracy,
+        segments.off_boundary(at, sigma_t), light_point.source(mi.Float(1), centre),
+        light_point.emission(centre, segments.wavelengths), region.phase, region.directed, None if free else way, prepared.accuracy,
         0 if light_point.distant else prepared.angle_panels(region),
     )  # fmt: skip
-    dr.scatter_add(single.value, stretch.weight * sigma_s * value * total, stretch.sample)
+    dr.scatter_add(single.value, segments.weight * sigma_s * value * total, segments.sample)
     single.eval()
 
 

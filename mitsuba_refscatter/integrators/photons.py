@@ -7,7 +7,7 @@ import numpy as np
 from .. import lanes, options, tolerances, wavefront
 from ..estimators import photons
 from ..scene import media
-from .lit import Prepared, scatter, stretch_of
+from .lit import Prepared, scatter
 from .refscatter import RefscatterIntegrator, seed_from
 
 
@@ -63,16 +63,16 @@ class PhotonIntegrator(RefscatterIntegrator):
         rng = np.random.default_rng(seed_from(sampler))
         number = batch.first // batch.per_pixel  # of the pass
         for region in prepared.scene.regions:
-            if not paths.segments[region.index]:
+            segments = paths.segments(region)
+            if segments is None:
                 continue
-            stretch = stretch_of(paths, region, ray)
-            sigma_s, sigma_t = region.coefficients(stretch.wavelengths, stretch.d)
+            sigma_s, sigma_t = region.coefficients(segments.wavelengths, segments.direction)
             for body in region.boundaries:
                 cloud = self._cloud(prepared, region, body, number, rng)
                 if cloud is not None:
-                    segments = stretch.segments(body.centre, sigma_t)
-                    value = wavefront.gather(segments, cloud, region.phase, region.directed, prepared.pace(body))
-                    dr.scatter_add(single.value, stretch.weight * sigma_s * value, stretch.sample)
+                    local = segments.from_boundary(body.centre, sigma_t)
+                    value = wavefront.gather(local, cloud, region.phase, region.directed, prepared.pace(body))
+                    dr.scatter_add(single.value, segments.weight * sigma_s * value, segments.sample)
                     single.eval()
         return single
 

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import camera, lanes, options, platform, tolerances, wavefront
+from .. import camera, options, platform, tolerances, wavefront
 from ..estimators import point, profile
 from ..integrators import lit
 from ..kept import Kept
@@ -169,9 +169,9 @@ def _segments(scene, paths):
     """Of all segments in regions that scatter, the one with the largest weight first: ``(Segment, (region, number there))``."""
     found = []
     for region in scene.regions:
-        if paths.segments[region.index]:
-            o, back, d, t_max, weight, _ = (lanes.concat(x) for x in zip(*paths.segments[region.index]))
-            arrays = [_numbers(x) for x in (mi.Point3f(o) + back, d, t_max, weight)]
+        along = paths.segments(region)
+        if along is not None:
+            arrays = [_numbers(x) for x in (along.start(), along.direction, along.length, along.weight)]
             found += [
                 (Segment(o, d, float(t[0]), w, region.name), (region, i)) for i, (o, d, t, w) in enumerate(zip(*arrays))
             ]
@@ -195,22 +195,25 @@ class _Along:
     def __init__(self, prepared, place, paths, ray, parts):
         region, number = place
         self.prepared, self.region, self.ray, self.parts = prepared, region, ray, parts
-        self.stretch = lit.stretch_of(paths, region, ray).gather(dr.opaque(mi.UInt32, number, 1))
-        self.stretch.sample = dr.opaque(mi.UInt32, 0, 1)
-        dr.eval(self.stretch)  # Dr.Jit 1.5.0 widens an unevaluated x itself where it computes x + 0
-        self.length = float(self.stretch.t_max[0])
-        self.sigma_s, self.sigma_t = region.coefficients(ray.wavelengths, self.stretch.d)
+        self.segment = paths.segments(region).gather(dr.opaque(mi.UInt32, number, 1))
+        self.segment.sample = dr.opaque(mi.UInt32, 0, 1)
+        dr.eval(self.segment)  # Dr.Jit 1.5.0 widens an unevaluated x itself where it computes x + 0
+        self.length = float(self.segment.length[0])
+        self.sigma_s, self.sigma_t = region.coefficients(ray.wavelengths, self.segment.direction)
 
     def pieces(self, n):
         """``camera.Paths`` of n equal parts of the segment, each a camera sample of its own, and the mean radiance per length of a sum over one."""
-        i, one = dr.arange(mi.UInt32, n), self.stretch
+        i, one = dr.arange(mi.UInt32, n), self.segment
         step = dr.opaque(mi.Float, self.length / n)
         t = mi.Float(i) * step
         weight = one.weight * dr.exp(-self.sigma_t * t)
-        # o moves, not back: light that is not refracted is summed from o on, off the boundary.
-        pieces = (one.o + t * one.d, one.back + 0 * t, one.d + mi.Vector3f(0 * t), step + 0 * t, weight, i)
+        # The origin moves, not the offset: light that is not refracted is summed from there on, off the boundary.
+        pieces = replace(
+            one, origin=one.origin + t * one.direction, offset=one.offset + 0 * t, direction=one.direction + mi.Vector3f(0 * t),
+            length=step + 0 * t, weight=weight, sample=i,
+        )  # fmt: skip
         paths = camera.Paths([[] for _ in self.prepared.scene.regions], [], False, mi.Bool(True))
-        paths.segments[self.region.index].append(pieces)
+        paths.parts[self.region.index].append(pieces)
         dr.eval(pieces)
         return paths
 
@@ -229,7 +232,7 @@ class _Along:
                 lighting, culling = self.prepared.lit(body, self.region, light.exact, self.ray.wavelengths, light.index)
                 if culling is not None:
                     tint = body.tint("specular_transmittance", self.ray.wavelengths)
-                    yield i, k, body, lighting, culling, self.stretch.weight * self.sigma_s * value * tint
+                    yield i, k, body, lighting, culling, self.segment.weight * self.sigma_s * value * tint
 
     def sweep(self, segments, culling, lighting, estimator):
         return wavefront.sweep(
@@ -240,7 +243,7 @@ class _Along:
         """``Samples`` of n points for each light."""
         found, estimate = {}, 0.0
         for i, _, body, lighting, culling, factor in self.lit_by():
-            segments = self.stretch.segments(body.centre, self.sigma_t)
+            segments = self.segment.from_boundary(body.centre, self.sigma_t)
             index, points, weight = point.queries(segments, lighting, 0, n, n, 0)
             dr.eval(index, points.o, weight)
             value = self.sweep(points, culling, lighting.at(index), point).value * factor
@@ -262,7 +265,7 @@ def _probe(pixel, ray, segments, number, one, samples, left_out):
     refracted, found = np.zeros((n, len(mi.Spectrum(0)))), []
     for light, boundary, body, lighting, culling, factor in one.lit_by():
         collected = profile.Profile(tolerances.PROFILE_CELLS)
-        one.sweep(one.stretch.segments(body.centre, one.sigma_t), culling, lighting, collected)
+        one.sweep(one.segment.from_boundary(body.centre, one.sigma_t), culling, lighting, collected)
         for cells in collected.found:
             refracted += _numbers(profile.means(cells, length, n) * factor)
             found.append((light, boundary, body, cells, factor))

@@ -1,0 +1,1 @@
+"""What camera and light share: segments, and what happens on the way."""
