@@ -13,7 +13,7 @@ from build import point_light
 from mitsuba_refscatter import console, kept, missing
 from mitsuba_refscatter.missing import walk
 from mitsuba_refscatter.missing.emission import photons
-from mitsuba_refscatter.scene import read
+from mitsuba_refscatter.scene import read, surfaces
 
 pytestmark = pytest.mark.usefixtures("rgb")
 
@@ -203,6 +203,22 @@ def test_what_is_told_against_volpath(name):
     told = 1 - shares(scene)[walk.COMPUTED]
     print(f"{name}: lacks {lacks:.3f} +- {error:.3f}, told {told:.3f}")
     assert error < 0.03 and abs(lacks - told) < 0.06 + 3 * error
+
+
+def test_surfaces_that_cannot_say_what_they_reflect_end_no_render():
+    parts = {"light": LAMP, "body": ball(), "floor": floor()}
+    scene = read(loaded(**parts), 0.01, kept.Kept())
+    kinds = [{"type": "hair"}, {"type": "mask", "opacity": 0.5, "bsdf": {"type": "diffuse"}}, {"type": "principled"}]
+    for bsdf in kinds:
+        parts["floor"] = {**floor(), "bsdf": bsdf}
+        assert 0 < np.array(read(loaded(**parts), 0.01, kept.Kept()).albedos()).max() <= 1
+
+    class Mute:
+        def eval_diffuse_reflectance(self, si):
+            raise RuntimeError("not in this variant")
+
+    assert 0 < surfaces._reflected(Mute(), None) < 1
+    assert np.array(scene.albedos()).max() == pytest.approx(0.5)
 
 
 # ---- On surfaces, and in renders -------------------------------------------------------------

@@ -26,8 +26,8 @@ def box(mi_scene):
 
 
 def albedos(mi_scene, shapes):
-    """A table (Float) by the number of a shape: the share of light that ``shapes`` reflect, in the mean over themselves and the wavelengths;
-    0 for others."""
+    """A table (Float) by the number of a shape: the share of light that ``shapes`` reflect, in the mean over themselves and the wavelengths,
+    as far as their BSDFs tell; 0 for others."""
     known, out = {}, np.zeros(1 + max(map(shape_number, mi_scene.shapes()), default=0))
     n = tolerances.MISSING_TEXELS
     si = dr.zeros(mi.SurfaceInteraction3f, n**2)
@@ -37,7 +37,15 @@ def albedos(mi_scene, shapes):
     for shape in shapes:
         bsdf = shape.bsdf()
         if bsdf is not None and id(bsdf) not in known:
-            seen = np.nan_to_num(np.array(dr.mean(bsdf.eval_diffuse_reflectance(si))))
-            known[id(bsdf)] = float(np.clip(seen, 0, 1).mean())
+            known[id(bsdf)] = _reflected(bsdf, si)
         out[shape_number(shape)] = known.get(id(bsdf), tolerances.MISSING_ALBEDO)
     return lanes.array(mi.Float, out)
+
+
+def _reflected(bsdf, si):
+    """The mean over ``si`` of the share of light that a BSDF reflects."""
+    try:
+        seen = np.nan_to_num(np.array(dr.mean(bsdf.eval_diffuse_reflectance(si))))
+    except RuntimeError:  # some plugins can't be asked in some variants, and an estimate must not end a render
+        return tolerances.MISSING_ALBEDO
+    return float(np.clip(seen, 0, 1).mean())
