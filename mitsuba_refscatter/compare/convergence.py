@@ -22,7 +22,7 @@ FIXED = {"surfaces": False, "internal_bounces": 0, "tolerance": 0.0}
 """What all renders have in common: triangles are cut as finely as for the reference."""
 
 
-def run(scene, most, report=lambda row: None, *, variant, resolution):
+def run(scene, most, report=lambda row: None, *, variant, resolution, seed=0):
     """Rows of results for one scene with up to ``most`` samples; ``report(row)`` is called after each.
 
     ``mean_relative_error`` is the relative L1 difference of the images, sum|a - b| / sum b.
@@ -40,7 +40,7 @@ def run(scene, most, report=lambda row: None, *, variant, resolution):
     def render(**settings):
         integrator = mi.load_dict({"type": "refscatter", **FIXED, **settings})
         start = time.perf_counter()
-        image = np.array(integrator.render(loaded, spp=1), dtype=np.float64)
+        image = np.array(integrator.render(loaded, seed=seed, spp=1), dtype=np.float64)
         return image[..., :3], time.perf_counter() - start
 
     reference, _ = render()
