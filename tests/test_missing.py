@@ -205,6 +205,35 @@ def test_what_is_told_against_volpath(name):
     assert error < 0.03 and abs(lacks - told) < 0.06 + 3 * error
 
 
+SUN = {"type": "directional", "direction": [0.3, -1, 0.2], "irradiance": 1.0}
+
+
+def test_a_body_is_not_met_twice_in_a_large_scene():
+    """Light of one sun in one ball is refracted once, however large the floor is."""
+    black = {**floor(), "to_world": to(("translate", [0, -1.1, 0]), ("rotate", [1, 0, 0], -90), ("scale", 50))}
+    black["bsdf"] = {"type": "diffuse", "reflectance": 0.0}
+    assert shares(loaded(light=SUN, body=ball(), floor=black))[walk.REFRACTED] == 0
+
+
+def test_light_of_the_sun_starts_above_small_water():
+    """A pond in wide ground is lit by what the ground reflects, too."""
+    pond = {
+        "type": "rectangle",
+        "to_world": to(("rotate", [1, 0, 0], -90), ("scale", 0.5)),
+        "bsdf": glass(1.33),
+        "interior": WITHIN,
+    }
+    ground = {**floor(), "to_world": to(("translate", [0, -0.5, 0]), ("rotate", [1, 0, 0], -90), ("scale", 100))}
+    assert shares(loaded(sigma_t=2, light=SUN, pond=pond, ground=ground))[walk.SURFACES] > 0.1
+
+
+def test_surfaces_that_are_instanced_are_not_black():
+    wall = {"type": "rectangle", "to_world": to(("translate", [1.3, 0, 0]), ("rotate", [0, 1, 0], -90), ("scale", 3))}
+    group = {"type": "shapegroup", "id": "group", "wall": wall}
+    copy = {"type": "instance", "to_world": to(("scale", 1)), "group": {"type": "ref", "id": "group"}}
+    assert shares(loaded(light=LAMP, body=ball(), group=group, copy=copy))[walk.SURFACES] > 0.05
+
+
 def test_surfaces_that_cannot_say_what_they_reflect_end_no_render():
     parts = {"light": LAMP, "body": ball(), "floor": floor()}
     scene = read(loaded(**parts), 0.01, kept.Kept())

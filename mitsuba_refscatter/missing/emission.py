@@ -49,18 +49,16 @@ def photons(scene):
             o, emission = L + d * offset(L), point.emission(mi.Point3f(0), media.visible())
             weight = weight if emission is None else weight * emission(L + d, -d, mi.Float(1))
         weight = mi.Spectrum(weight / density) + dr.zeros(mi.Spectrum, each)
-        sent = Photons(o, d, _region(scene, o), dr.select(dr.isfinite(weight), weight, 0))
+        sent = Photons(o, d, _region(scene, o, d), dr.select(dr.isfinite(weight), weight, 0))
         dr.eval(sent)
         found.append(sent)
     return Photons(*(lanes.concat(x) for x in zip(*(vars(sent).values() for sent in found))))
 
 
-def _region(scene, o):
+def _region(scene, o, d):
     """Index of the region in which the photons of a light start: the one in which most lines from there come to a boundary."""
     n = dr.width(o)
-    number = dr.arange(mi.UInt32, n)
-    u = mi.Point2f((number + 0.5) / dr.opaque(mi.Float, n), mi.radical_inverse_2(number, 0))
-    met = meet(scene, o, mi.warp.square_to_uniform_sphere(u), True)
+    met = meet(scene, o, d, True)
     found, counts = np.unique(np.array(met.near)[np.array(met.boundary)], return_counts=True)
     if len(found) > 0:
         return dr.opaque(mi.UInt32, int(found[np.argmax(counts)]), n)

@@ -18,7 +18,7 @@ sheet or the outside of a body; one by a surface; another scattering. The last t
 
 @dataclass
 class Met:
-    """What rays meet. ``hit``: whether there is something; ``t``: how far; ``shape``: its number; ``target``: the body (index) where it is a
+    """What rays meet. ``hit``: whether there is something; ``t``: how far; ``p``: where (world); ``shape``: its number, of an instance that of this; ``target``: the body (index) where it is a
     ``boundary``; ``Ng``, ``n``: geometric and shading normal, outward; ``leaving``: whether the boundary is met from inside;
     ``near``, ``behind``: the regions before and behind it."""
 
@@ -32,6 +32,7 @@ class Met:
     leaving: object
     near: object
     behind: object
+    p: object
 
 
 def meet(scene, o, d, active):
@@ -42,13 +43,20 @@ def meet(scene, o, d, active):
     boundary = hit & (target != NONE)
     first = dr.gather(mi.UInt32, scene.first_record, target, boundary)
     tri = triangle.gather(scene.records, dr.select(boundary, first + pi.prim_index, 0), boundary)
-    plain = mi.Normal3f(0)
+    plain, at = mi.Normal3f(0), mi.Point3f(0)
     if scene.others:  # else kernels hold no shapes' code
-        plain = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit & ~boundary).n
+        si = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit & ~boundary)
+        plain, at = si.n, si.p
     leaving = boundary & (dr.dot(d, tri.Ng) > 0)
     near, behind = (scene.near(target, side, boundary) for side in (leaving, ~leaving))
     normals = (dr.select(boundary, n, mi.Vector3f(plain)) for n in (tri.Ng, tri.normal(pi.prim_uv.x, pi.prim_uv.y)))
-    return Met(hit, pi.t, dr.reinterpret_array(mi.UInt32, pi.shape), target, boundary, *normals, leaving, near, behind)
+    on = dr.gather(mi.Point3f, scene.centre, target, boundary) + tri.position(pi.prim_uv.x, pi.prim_uv.y)
+    number = dr.reinterpret_array(mi.UInt32, pi.shape)
+    inst = dr.reinterpret_array(mi.UInt32, pi.instance)
+    number = dr.select(inst != 0, inst, number)
+    return Met(
+        hit, pi.t, number, target, boundary, *normals, leaving, near, behind, mi.Point3f(dr.select(boundary, on, at))
+    )
 
 
 class Tables:
@@ -147,7 +155,7 @@ def _leg(state, scene, tables, albedo, leave):
     first = dr.select(bends & (state.first == NONE), met.shape, state.first)
     event = dr.select(bends & (refractions < 2), COMPUTED, event)
     worse = (event != COMPUTED) & ((state.kind == COMPUTED) | ((event >= SURFACES) & (event > state.kind)))
-    at = state.o + state.d * met.t
+    at = met.p
     start = at + dr.copysign(tolerances.MISSING_OFFSET * dr.max(dr.abs(at)), dr.dot(d, met.Ng)) * met.Ng
     anywhere = mi.warp.square_to_uniform_sphere(mi.Point2f(state.random.next_float32(), state.random.next_float32()))
     return Walk(
