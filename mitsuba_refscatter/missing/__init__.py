@@ -12,7 +12,7 @@ import numpy as np
 from .. import lanes, tolerances
 from ..scene import NONE, media
 from .emission import offset, photons, points
-from .walk import FURTHER, INSIDE, REFLECTED, REFRACTED, SURFACES, follow, look, meet
+from .walk import FURTHER, INSIDE, REFLECTED, REFRACTED, SURFACES, Tables, follow, look, meet
 
 silent = False
 """Whether nothing is said: by commands that measure, whose renders are many, and all of single scattering alone."""
@@ -58,7 +58,7 @@ def on_surfaces(scene, ends):
     legs = type(ends[0])(*(lanes.concat(x) for x in zip(*(vars(part).values() for part in some))))
     count = len(legs)
     met = meet(scene, legs.o, legs.d, True)
-    P, n = legs.o + met.t * legs.d, dr.select(dr.dot(met.n, legs.d) > 0, -met.n, met.n)
+    P, n, tables = met.p, dr.select(dr.dot(met.n, legs.d) > 0, -met.n, met.n), Tables(scene)
     start, seen, wrong = P + n * offset(P), 0.0, np.zeros(len(scene.regions) + 1)
     for light, point in points(scene, mi.PCG32(size=count)):
         omega_L, d_L = point.source(mi.Float(1), mi.Point3f(0)).seen_from(P)
@@ -67,7 +67,7 @@ def on_surfaces(scene, ends):
         arriving = dr.mean(mi.Spectrum(arriving if emission is None else arriving * emission(P, omega_L, d_L)))
         lit = met.hit & dr.isfinite(arriving) & (arriving > 0)
         distance = tolerances.ENDLESS if point.distant else d_L * (1 - tolerances.SHADOW_END)
-        view = look(scene, start, omega_L, distance, legs.region, lit)
+        view = look(scene, tables, start, omega_L, distance, (legs.region, lit))
         # The nested integrator connects a point through nothing at all, and meets larger lights by chance behind anything.
         exact = mi.Bool(light.exact is not None)
         counted = dr.select(~view.free | (exact & view.crosses), mi.Float(0), 1)

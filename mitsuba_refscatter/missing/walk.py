@@ -201,45 +201,28 @@ class View:
     region: object
 
 
-def look(scene, o, d, distance, region, active):
-    """``View`` of straight lines from o in regions, as far as ``distance``."""
-    tables, n = Tables(scene), dr.width(o)
+def look(scene, tables, o, d, distance, start):
+    """``View`` of straight lines from o, as far as ``distance``. ``start``: (regions, whether a line is looked along)."""
+    n = dr.width(o)
 
-    def step(o, rest, region, active, depth, deepest, which, view):
+    def step(o, rest, region, active, depth, deepest, which, free, crosses, refracts):
         met = meet(scene, o, d, active)
         met.hit &= met.t < rest
-        index, _, sigma_t, reach = tables.of(dr.select(met.boundary & met.hit, met.near, region))
-        here = dr.mean(sigma_t) * dr.select(met.hit, met.t, dr.minimum(rest, reach))
-        here = dr.select(active, here, 0)
-        which, deepest = dr.select(here > deepest, index, which), dr.maximum(here, deepest)
         boundary = met.hit & met.boundary
+        index, _, sigma_t, reach = tables.of(dr.select(boundary, met.near, region))
+        here = dr.select(active, dr.mean(sigma_t) * dr.select(met.hit, met.t, dr.minimum(rest, reach)), 0)
+        which, deepest = dr.select(here > deepest, index, which), dr.maximum(here, deepest)
         bends = boundary & (dr.gather(mi.UInt32, tables.refracts, met.target, boundary) > 0)
-        view = View(
-            view.free & ~(met.hit & ~met.boundary),
-            view.crosses | boundary,
-            view.refracts | bends,
-            view.left,
-            view.region,
-        )
-        ahead = met.t + tolerances.MISSING_OFFSET * dr.max(dr.abs(o + d * met.t)) / dr.maximum(
-            dr.abs(dr.dot(d, met.Ng)), tolerances.GRAZING
-        )
+        slope = dr.maximum(dr.abs(dr.dot(d, met.Ng)), tolerances.GRAZING)
+        ahead = met.t + tolerances.MISSING_OFFSET * dr.max(dr.abs(met.p)) / slope
         go_on = boundary & (rest > ahead)
-        return (mi.Point3f(o + d * dr.select(go_on, ahead, 0)), rest - dr.select(go_on, ahead, 0), dr.select(go_on, met.behind, region), go_on,
-                depth + here, deepest, which, view)  # fmt: skip
+        ahead = dr.select(go_on, ahead, 0)
+        return (mi.Point3f(o + d * ahead), rest - ahead, dr.select(go_on, met.behind, region), go_on, depth + here, deepest, which,
+                free & ~(met.hit & ~met.boundary), crosses | boundary, refracts | bends)  # fmt: skip
 
-    zero, no, none = dr.zeros(mi.Float, n), dr.full(mi.Bool, False, n), dr.full(mi.UInt32, NONE, n)
-    view = View(dr.full(mi.Bool, True, n), no, mi.Bool(no), mi.Float(zero), none)
-    state = (
-        mi.Point3f(o),
-        zero + distance,
-        mi.UInt32(region),
-        no | active,
-        mi.Float(zero),
-        mi.Float(zero),
-        mi.UInt32(none),
-        view,
-    )
+    region, active = start
+    zero, no = dr.zeros(mi.Float, n), dr.full(mi.Bool, False, n)
+    state = (mi.Point3f(o), zero + distance, mi.UInt32(region), no | active, mi.Float(zero), mi.Float(zero), dr.full(mi.UInt32, NONE, n),
+             dr.full(mi.Bool, True, n), mi.Bool(no), mi.Bool(no))  # fmt: skip
     end = dr.while_loop(state, lambda *x: x[3], step, label="look", mode="symbolic")
-    depth, which, view = end[4], end[6], end[7]
-    return View(view.free, view.crosses, view.refracts, dr.exp(-depth), which)
+    return View(free=end[7], crosses=end[8], refracts=end[9], left=dr.exp(-end[4]), region=end[6])
