@@ -1,20 +1,47 @@
 """Camera samples into the film: passes, filter, alpha, extra channels."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import drjit as dr
 import mitsuba as mi
 
 from . import tolerances
-from .sequence import PLACE, Batch
+from .core.sobol import PLACE, Batch, Sequence
 
 
-def render(sample, sensor, seed, spp, sequence, aovs, develop, evaluate, progress, watch):
+@dataclass
+class Frame:
+    """A picture to be taken.
+
+    sensor    Mitsuba's
+    seed      of random numbers
+    spp       samples per pixel; 0: as the sensor's sampler says
+    sequence  that the places in the pixels are taken from, or None for those of the sampler
+    aovs      names of the extra channels
+    progress  (share done), or None
+    watch     (samples per pixel, image so far) -> how many are next (0: no more), or None; then the first pass is of one sample per pixel
+    """
+
+    sensor: mi.Sensor
+    seed: int
+    spp: int
+    sequence: Sequence | None
+    aovs: list
+    progress: Callable | None
+    watch: Callable | None
+
+
+def render(sample, frame, develop, evaluate):
     """Renders in passes of at most ``tolerances.PASS_SAMPLES`` camera samples, at least one per pixel.
 
-    ``sample(sampler, ray, ray weight, active, batch, progress) -> (radiance, valid, extra channels)``; arguments as in
-    Mitsuba's ``Integrator.render``. ``sequence``: that the places in the pixels are taken from (``Sequence``), or None
-    for those of the sampler. ``progress(fraction)`` may be None, and ``watch(samples, image)``, too: if not, the first pass is of
-    one sample per pixel, after each it gets the image so far and says how many are to be next (0: no more).
+    ``sample(sampler, ray, ray weight, active, batch, progress) -> (radiance, valid, extra channels)``; ``develop``, ``evaluate``: as in
+    Mitsuba's ``Integrator.render``.
     """
+    sensor, seed, spp, sequence = frame.sensor, frame.seed, frame.spp, frame.sequence
+    aovs, progress, watch = frame.aovs, frame.progress, frame.watch
     film, sampler = sensor.film(), sensor.sampler().clone()
     if spp:
         sampler.set_sample_count(spp)

@@ -4,20 +4,25 @@ Conventions: unit vectors point away from the surface point; ``eta = n_in / n_ou
 is a unit vector that points out of the body. All functions take Dr.Jit arrays of any width.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import drjit as dr
+import mitsuba as mi
 
 from . import tolerances
 
 
 @dataclass
-class Source:
-    """A light as refraction sees it: a point ``L``, or the direction ``L`` (unit) to a light that is infinitely
-    ``distant``; and ``eta`` of the body that it lights. What it is decides about kernels, so that neither pays for the other."""
+class LocalLight:
+    """A light in the coordinates of a body, as refraction sees it.
 
-    L: object
-    eta: object
+    L        Point3f, where it is, one or one per camera segment; or the unit direction (Vector3f) to a distant one
+    distant  whether it is infinitely far away. That decides about kernels, so that neither kind pays for the other.
+    """
+
+    L: mi.Point3f
     distant: bool = False
 
     def to(self, P):
@@ -33,9 +38,21 @@ class Source:
         d_L = dr.norm(to_light)
         return to_light / d_L, d_L
 
-    def turn(self, omega_L, d_L, d_P):
+    def direction_change(self, omega_L, d_L, d_P):
         """Derivative of omega_L where P moves by ``d_P``."""
         return 0 * d_P if self.distant else (omega_L * dr.dot(omega_L, d_P) - d_P) / d_L
+
+
+@dataclass
+class Incidence:
+    """Light that comes to a boundary: all that refraction there depends on, but for the place.
+
+    light  in the boundary's body coordinates
+    eta    Float, index of refraction behind the boundary over that before it
+    """
+
+    light: LocalLight
+    eta: mi.Float
 
 
 def refract_in(omega_L, n, eta):

@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass, field, fields
 
-from .spelling import advice
+from .core.spelling import advice
+from .culling import CULLINGS
+from .estimators import ESTIMATORS
 
 
 class OptionError(ValueError):
@@ -38,10 +40,10 @@ class Options(Common):
 
     estimator: str = field(
         default="curve",
-        metadata={"choices": ("curve", "interval", "point"), "meaning": "how light is summed along a segment"},
+        metadata={"choices": ESTIMATORS, "meaning": "how light is summed along a segment"},
     )
     culling: str = field(
-        default="beams", metadata={"choices": ("beams", "spindle"), "meaning": "how triangles are found for a segment"}
+        default="beams", metadata={"choices": CULLINGS, "meaning": "how triangles are found for a segment"}
     )
     samples: int = field(
         default=0,
@@ -114,8 +116,10 @@ def read(props, kind=Options):
             known = [option.name for option in fields(kind)]
             raise OptionError(f'{plugin}: there is no property "{name}": {advice(name, known)}')
     options = kind(**values)
-    if isinstance(options, Options) and options.samples and options.estimator == "curve":
-        raise OptionError('refscatter: property "samples" has no meaning for the estimator curve: remove it')
+    if isinstance(options, Options) and options.samples and ESTIMATORS[options.estimator].samples_field is None:
+        raise OptionError(
+            f'refscatter: property "samples" has no meaning for the estimator {options.estimator}: remove it'
+        )
     for name in aov_list(options):
         if name not in AOVS:
             raise OptionError(f'{plugin}: property "aovs" names {name!r}: {advice(name, AOVS)}')

@@ -14,7 +14,7 @@ import re
 from dataclasses import dataclass
 from functools import cache
 
-from .spelling import advice
+from .core.spelling import advice
 
 MITSUBA_RANGE = ((3, 9, 1), (3, 10, 0))  # from, below: 3.10 renames the mesh interface
 LLVM_MINIMUM = 17  # 14 is refused by Dr.Jit; 15 and 16 end the process on x86

@@ -13,11 +13,12 @@ from hypothesis import assume, note
 from meshes import BoxTree, Mesh, dot, icosphere, make_patches, norm, take, triangle_grid
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from mitsuba_refscatter import tolerances, wavefront
+from mitsuba_refscatter import tolerances
+from mitsuba_refscatter.core.cache import Cache
 from mitsuba_refscatter.culling.bundles import bundles_of
-from mitsuba_refscatter.estimators.lighting import Sums
+from mitsuba_refscatter.estimators import wavefront
+from mitsuba_refscatter.estimators.accumulator import Sums
 from mitsuba_refscatter.geometry import bvh
-from mitsuba_refscatter.kept import Kept
 from mitsuba_refscatter.options import Options
 from mitsuba_refscatter.transport.segments import LocalSegments
 
@@ -207,9 +208,9 @@ class Culling:
         from mitsuba_refscatter.integrators.lit import Prepared  # made anew for each variant
 
         exact = {"samples_visibility": False, "coarse": 0.0}
-        self.prepared = Prepared(scene, Options(**options), lambda: 0, Kept(), changes=exact)
+        self.prepared = Prepared(scene, Options(**options), lambda: 0, Cache(), changes=exact)
         self.body, light = self.prepared.scene.bodies[0], self.prepared.scene.lights[0]
-        self.lighting, self.culling = self.prepared.lit(self.body, self.prepared.scene.regions[0], light.exact)
+        self.illumination, self.culling = self.prepared.lit(self.body, self.prepared.scene.regions[0], light.exact)
 
     def segments(self, o, d, t_max):
         o, d = (np.asarray(x, np.float32).T for x in (o - self.body.centre, d))
@@ -219,7 +220,7 @@ class Culling:
         """The stages of the wavefront, with nothing summed yet."""
         parts = {"sums": Sums.nothing(len(segments)), "segments": segments, "culling": self.culling,
                  "bundles": bundles_of(segments, self.culling.bundle, self.culling.width),
-                 "lighting": self.lighting, "accuracy": self.prepared.accuracy,
+                 "illumination": self.illumination, "accuracy": self.prepared.accuracy,
                  "estimator": self.prepared.estimator}  # fmt: skip
         return wavefront.Work(**{**parts, **changes})
 

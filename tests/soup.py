@@ -9,13 +9,14 @@ import numpy as np
 import oracle
 from meshes import Patch, dot, norm, triangle_grid, unit
 
-from mitsuba_refscatter import tolerances, wavefront
+from mitsuba_refscatter import tolerances
 from mitsuba_refscatter.culling import beam
 from mitsuba_refscatter.culling.pairs import Pairs, Taken
-from mitsuba_refscatter.estimators import point
-from mitsuba_refscatter.estimators.lighting import Lighting, Sums
+from mitsuba_refscatter.estimators import point, wavefront
+from mitsuba_refscatter.estimators.accumulator import Sums
 from mitsuba_refscatter.geometry import triangle
-from mitsuba_refscatter.optics import Source
+from mitsuba_refscatter.light.illumination import Illumination
+from mitsuba_refscatter.optics import LocalLight
 from mitsuba_refscatter.solve import newton
 from mitsuba_refscatter.transport.segments import LocalSegments
 
@@ -83,10 +84,10 @@ class Roots:
     def __init__(self):
         self.found, self.statuses, self.evaluations = [], np.zeros(len(newton.Status), int), np.zeros(64, int)
 
-    def accumulate(self, sums, pairs, segments, culling, lighting, accuracy):
-        lighting = lighting.at(pairs.segment)
-        taken = culling.take(pairs, lighting.light)
-        solution, _, valid = point.roots(taken, segments.gather(pairs.segment), lighting)
+    def accumulate(self, sums, pairs, segments, culling, illumination, accuracy):
+        illumination = illumination.at(pairs.segment)
+        taken = culling.take(pairs, illumination.light)
+        solution, _, valid = point.roots(taken, segments.gather(pairs.segment), illumination)
         u, v = (taken.piece.h * x + x0 for x, x0 in zip(solution.x, (taken.piece.u0, taken.piece.v0)))
         dr.eval(u, v, valid, solution.status, solution.iterations)
         kept = np.array(valid)
@@ -114,9 +115,11 @@ def solve(case, eta, tolerance=0.01):
     """All roots that the package finds for cases: ``Roots``."""
     n, roots = len(case.V), Roots()
     light = mi.Point3f(np.asarray(case.light, np.float32).T)
-    lighting = Lighting(Source(light, dr.opaque(mi.Float, eta)), int(np.sign(eta - 1)), isotropic, None, None)
+    illumination = Illumination(
+        LocalLight(light, dr.opaque(mi.Float, eta)), int(np.sign(eta - 1)), isotropic, None, None
+    )
     segments = points_as_segments(case.V)
-    work = wavefront.Work(Sums.nothing(n), segments, None, Soup(case.patch), lighting,
+    work = wavefront.Work(Sums.nothing(n), segments, None, Soup(case.patch), illumination,
                           tolerances.accuracy(tolerance), roots)  # fmt: skip
     index = dr.arange(mi.UInt32, n)
     pairs = Pairs(index, index)

@@ -10,7 +10,7 @@ import references
 from comparison import bias
 from meshes import Mesh, bumpy_sphere, icosphere
 
-from mitsuba_refscatter import scenes
+from mitsuba_refscatter import example_scenes
 
 LIGHT, CAMERA = (-2.6, 2.4, -0.9), (0.0, 1.1, 5.2)
 
@@ -30,7 +30,7 @@ def read_mesh(scene):
 
 def test_bumpy_sphere_against_oracle(rgb):
     """The shipped scene at the default tolerance, with internal reflections, 200 rays: folds, shadows, re-entries."""
-    scene = scenes.load("scenes/bumpy_sphere/scene.xml")
+    scene = example_scenes.load("scenes/bumpy_sphere/scene.xml")
     mesh, emitter = read_mesh(scene), mi.traverse(scene.emitters()[0])
     light = (np.array(emitter["position"]).ravel(), np.array(emitter["intensity.value"]).ravel())
     o, d = build.rays_at((0.0, 1.1, 5.2), 0.95, 200, seed=1)

@@ -8,9 +8,10 @@ import pytest
 from meshes import bumpy_sphere
 from pairs import chords, one_body
 
-from mitsuba_refscatter import tolerances, wavefront
+from mitsuba_refscatter import tolerances
+from mitsuba_refscatter.core.cache import Cache, fingerprint
 from mitsuba_refscatter.culling import beams, bundles
-from mitsuba_refscatter.kept import Kept, fingerprint
+from mitsuba_refscatter.estimators import wavefront
 
 LIGHT = np.array([-2.6, 2.4, -0.9])
 
@@ -33,7 +34,7 @@ def test_bundles_find_what_segments_find(rgb, tmp_path, monkeypatch, spacing):
     rays = tuple(x[:-1] for x in neighbours(mesh, rng, spacing))  # the last bundle is not full
 
     def scattered():
-        sums, counts = wavefront.scatter(culling.segments(*rays), culling.culling, culling.lighting,
+        sums, counts = wavefront.scatter(culling.segments(*rays), culling.culling, culling.illumination,
                                          culling.prepared.accuracy, culling.prepared.estimator)  # fmt: skip
         return np.array(sums.value), counts.leaves
 
@@ -70,13 +71,13 @@ def test_leaves_hold_places_of_the_order(rgb):
 
 
 def test_kept_things_are_made_once_and_dropped():
-    made, kept = [], Kept()
+    made, cache = [], Cache()
 
     def get(key):
-        return kept.once(lambda: made.append(key) or key, key)
+        return cache.once(lambda: made.append(key) or key, key)
 
     for keys in (["a", "b"], ["a"], ["a"], ["b"]):
-        kept.next_round()
+        cache.next_round()
         assert [get(key) for key in keys] == keys
     assert made == ["a", "b", "b"]
 
@@ -125,7 +126,7 @@ def test_memory_follows_the_buffer_not_the_work(rgb, tmp_path, monkeypatch, coun
     backend = dr.backend_v(mi.Float)
 
     def leaves():
-        parts = culling.culling, culling.lighting, culling.prepared.accuracy, culling.prepared.estimator
+        parts = culling.culling, culling.illumination, culling.prepared.accuracy, culling.prepared.estimator
         sums, counts = wavefront.scatter(segments, *parts)
         dr.eval(sums.value)
         dr.sync_thread()

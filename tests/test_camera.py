@@ -9,9 +9,10 @@ import pytest
 from meshes import BoxTree, Mesh, bumpy_sphere, icosphere
 from scipy.optimize import linear_sum_assignment
 
-from mitsuba_refscatter import camera, tolerances
-from mitsuba_refscatter.kept import Kept
+from mitsuba_refscatter import tolerances
+from mitsuba_refscatter.core.cache import Cache
 from mitsuba_refscatter.scene import NONE, SceneError, read
+from mitsuba_refscatter.transport import camera_paths
 
 CAMERA = (0.0, 1.1, 5.2)
 SAME = 1e-2
@@ -38,18 +39,18 @@ def scene(bodies, folder, **properties):
     parts = {"type": "scene", "light": build.point_light((0, 50, 0))}
     for k, body in enumerate(bodies):
         parts[f"body{k}"] = build.mesh_shape(body.mesh, folder / f"{k}.ply", eta=body.eta, **properties)
-    found = read(mi.load_dict(parts, optimize=False), 0.01, Kept())
+    found = read(mi.load_dict(parts, optimize=False), 0.01, Cache())
     assert [round(body.eta, 5) for body in found.bodies] == [body.eta for body in bodies]
     return found
 
 
 def trace(scene, o, d, internal_bounces, surfaces=False, min_weight=0.0):
     ray = mi.Ray3f(mi.Point3f(o.astype(np.float32).T), mi.Vector3f(d.astype(np.float32).T))
-    return camera.trace(scene, ray, True, NONE, internal_bounces, surfaces, min_weight)
+    return camera_paths.trace(scene, ray, True, NONE, internal_bounces, surfaces, min_weight)
 
 
 def segments(paths):
-    """All segments of ``camera.Paths`` as the oracle gives them."""
+    """All segments of ``camera_paths.Paths`` as the oracle gives them."""
     parts = []
     for index, found in enumerate(paths.parts):
         for part in found:
@@ -202,9 +203,9 @@ def test_rays_that_are_not_active_are_left_out(rgb, tmp_path):
     found, (o, d) = scene(bodies("convex"), tmp_path), build.rays_at(CAMERA, 0.9, 40, seed=6)
     ray = mi.Ray3f(mi.Point3f(o.astype(np.float32).T), mi.Vector3f(d.astype(np.float32).T))
     odd = dr.arange(mi.UInt32, 40) % 2 == 1
-    some = camera.trace(found, ray, odd, NONE, 2, True, 0.0)
+    some = camera_paths.trace(found, ray, odd, NONE, 2, True, 0.0)
     assert set(segments(some).ray % 2) == {1} and not some.hit.numpy()[::2].any() and some.hit.numpy()[1::2].all()
-    none = camera.trace(found, ray, mi.Bool(False), NONE, 2, True, 0.0)
+    none = camera_paths.trace(found, ray, mi.Bool(False), NONE, 2, True, 0.0)
     assert not any(none.parts) and not none.ends
 
 
@@ -221,7 +222,7 @@ def test_bodies_that_the_loader_merges(rgb, tmp_path, scale, normals):
     ):
         material = {"bsdf": {"type": "ref", "id": "glass"}, "interior": {"type": "ref", "id": "amber"}}
         parts[f"body{k}"] = {**shape, **material, "to_world": transform}
-    apart, merged = (read(mi.load_dict({"type": "scene", **parts}, optimize=x), 0.01, Kept()) for x in (False, True))
+    apart, merged = (read(mi.load_dict({"type": "scene", **parts}, optimize=x), 0.01, Cache()) for x in (False, True))
     assert len(apart.bodies) == 2 and len(merged.bodies) == 1
     o, d = build.rays_at((0, 1.1, 7.2), 2.4, 300, seed=7)
     o = build.rounded(o + [1.2, 0, 0])
@@ -278,12 +279,12 @@ def test_a_missed_crossing_between_nested_bodies_is_no_overlap(rgb, nested):
         side = "exterior" if nested and k else "interior"
         parts[f"bar{k}"] = {"type": "cube", "bsdf": bsdf, side: {"type": "ref", "id": "amber"},
                             "to_world": mi.ScalarTransform4f().scale(scale)}  # fmt: skip
-    found = read(mi.load_dict(parts, optimize=False), 0.01, Kept())
+    found = read(mi.load_dict(parts, optimize=False), 0.01, Cache())
     outer, inner = sorted(found.bodies, key=lambda body: body.eta)
-    leg = camera.Legs(mi.Point3f(0, 0, 0.1), mi.Vector3f(1, 0, 0), mi.Spectrum(1), mi.UInt32(0), mi.UInt32(inner.inside), 0, 0, mi.Vector3f(0))  # fmt: skip
+    leg = camera_paths.Legs(mi.Point3f(0, 0, 0.1), mi.Vector3f(1, 0, 0), mi.Spectrum(1), mi.UInt32(0), mi.UInt32(inner.inside), 0, 0, mi.Vector3f(0))  # fmt: skip
     arguments = found, leg, mi.Float(0.02), mi.UInt32(outer.index), mi.Bool(True)
     if nested:
-        camera._refuse_overlaps(*arguments)
+        camera_paths._refuse_overlaps(*arguments)
     else:
         with pytest.raises(SceneError, match="overlaps"):
-            camera._refuse_overlaps(*arguments)
+            camera_paths._refuse_overlaps(*arguments)

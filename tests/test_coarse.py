@@ -7,13 +7,13 @@ import pytest
 from comparison import l1
 from meshes import Mesh, icosphere, triangle_grid
 
-from mitsuba_refscatter import scenes
+from mitsuba_refscatter import example_scenes
+from mitsuba_refscatter.core.cache import ChoiceKey, LevelsKey
+from mitsuba_refscatter.example_scenes import bodies
 from mitsuba_refscatter.geometry import decimation
 from mitsuba_refscatter.geometry import mesh as mesh_facts
-from mitsuba_refscatter.integrators import coarseness, lit
-from mitsuba_refscatter.kept import ChoiceKey, LevelsKey
+from mitsuba_refscatter.integrators import lit, mesh_choice
 from mitsuba_refscatter.options import Options
-from mitsuba_refscatter.scenes import bodies
 
 
 def euler(faces):
@@ -64,7 +64,7 @@ def test_edges_of_holes_stay():
 def test_the_coarsest_mesh_that_is_good_enough(factor, error):
     """Errors of a known size: the mesh that is picked has at most the error, and the one before it more, or nearly."""
     turns = [*np.geomspace(0.6, 0.05, 12), 0.02]
-    at = coarseness.suitable(turns, error, lambda i, j: factor * (turns[i] ** 2 - turns[j] ** 2))
+    at = mesh_choice.suitable(turns, error, lambda i, j: factor * (turns[i] ** 2 - turns[j] ** 2))
     errors = factor * (np.array(turns) ** 2 - turns[-1] ** 2)
     assert errors[at] <= error * 1.05
     assert at == 0 or errors[at - 1] > 0.95 * error
@@ -78,13 +78,13 @@ def image(scene, tolerance):
 @pytest.mark.parametrize("tolerance", build.slow_ones([0.3, 0.1], [0.3]))
 @pytest.mark.parametrize("name", build.slow_ones(["bumpy_sphere", "branches"], ["branches"]))
 def test_coarse_meshes_keep_to_the_tolerance(rgb, tmp_path, name, tolerance):
-    path, _ = scenes.write_scene(name, tmp_path, 20480)
-    scene = scenes.load(path, res=64)
+    path, _ = example_scenes.write_scene(name, tmp_path, 20480)
+    scene = example_scenes.load(path, res=64)
     exact, _ = image(scene, 1e-3)
     found, integrator = image(scene, tolerance)
     assert l1(found, exact) < tolerance
     (chosen,), (levels,) = (
-        [value for key, value in integrator.kept._now.items() if isinstance(key, kind)]
+        [value for key, value in integrator.cache._now.items() if isinstance(key, kind)]
         for kind in (ChoiceKey, LevelsKey)
     )
     assert levels[chosen].triangles < 0.6 * levels[-1].triangles

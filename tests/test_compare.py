@@ -13,8 +13,8 @@ from build import point_light
 from comparison import check, compare
 from test_cli import SPHERE, assert_one_sentence, needs_variant, refscatter
 
-from mitsuba_refscatter import platform, scenes
-from mitsuba_refscatter.compare import duel, methods, race, suite
+from mitsuba_refscatter import example_scenes, platform
+from mitsuba_refscatter.benchmarks import duel, methods, race, suite
 
 QUICK = ("--seconds", 0.1, "-D", "res=16", "-D", "spp=1")
 
@@ -51,7 +51,7 @@ def test_compare_writes_a_report(tmp_path, names):
 @pytest.fixture(scope="module")
 def subject():
     mi.set_variant(platform.default_variant())
-    return duel.Subject.of("sphere", lambda: scenes.load(SPHERE, res="16"))
+    return duel.Subject.of("sphere", lambda: example_scenes.load(SPHERE, res="16"))
 
 
 @pytest.fixture(scope="module")

@@ -11,12 +11,13 @@ from meshes import BoxTree, Mesh, bumpy_sphere, dot, make_patches, norm, take
 from pairs import Culling, bevelled_box, chords, lost_and_looked_at, one_body, random_case, torus, wavy
 from test_accuracy import read_mesh
 
-from mitsuba_refscatter import scenes, tolerances, wavefront
+from mitsuba_refscatter import example_scenes, tolerances
 from mitsuba_refscatter.culling import beam
 from mitsuba_refscatter.culling import beams as light_beams
+from mitsuba_refscatter.estimators import wavefront
 from mitsuba_refscatter.geometry import mesh as mesh_facts
 from mitsuba_refscatter.geometry import silhouette
-from mitsuba_refscatter.optics import Source
+from mitsuba_refscatter.optics import LocalLight
 
 LOST = 1e-5
 """Largest share of a body's light that may come from pairs that the culling drops: the rounding of float32."""
@@ -75,7 +76,7 @@ def test_beams_into_a_corner(rgb, tmp_path):
 
 def test_little_is_looked_at_in_vain(rgb):
     """On the shipped bumpy sphere at most 6 candidates per contributing pair are wanted; there are 1.1 to 1.3."""
-    scene = scenes.load("scenes/bumpy_sphere/scene.xml", res=64)
+    scene = example_scenes.load("scenes/bumpy_sphere/scene.xml", res=64)
     mesh, light = read_mesh(scene), np.array(mi.traverse(scene.emitters()[0])["position"]).ravel().astype(float)
     rays = build.rays_at((0.0, 1.1, 5.2), 0.95, 120, seed=5)
     legs = oracle.camera_segments([oracle.Body(mesh, 1.5, np.ones(1), np.ones(1))], *rays, 1)
@@ -180,7 +181,7 @@ def test_beams_are_free_as_far_as_said(rgb, tmp_path, name, eta):
 def scattered(culling, o, d, t_max):
     """The sums along the segments, and after what part of them each chunk ended."""
     ends = []
-    sums, _ = wavefront.scatter(culling.segments(o, d, t_max), culling.culling, culling.lighting,
+    sums, _ = wavefront.scatter(culling.segments(o, d, t_max), culling.culling, culling.illumination,
                                    culling.prepared.accuracy, culling.prepared.estimator,
                                    progress=lambda done, total: ends.append(done / total))  # fmt: skip
     return np.array(sums.value).T, ends
@@ -225,7 +226,7 @@ def test_no_lit_triangles(rgb, tmp_path):
         body,
         records,
         order,
-        Source(mi.Point3f(0), mi.Float(1.5)),
+        LocalLight(mi.Point3f(0), mi.Float(1.5)),
         0.1,
         lambda triangles: pytest.fail("none is lit"),
         None,
@@ -234,7 +235,7 @@ def test_no_lit_triangles(rgb, tmp_path):
         body,
         records,
         order,
-        Source(mi.Point3f(9), mi.Float(1.5)),
+        LocalLight(mi.Point3f(9), mi.Float(1.5)),
         0.1,
         lambda triangles: (mi.UInt32(), mi.Bool()),
         None,

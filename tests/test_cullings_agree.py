@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from meshes import BoxTree, bumpy_sphere, make_patches, take
 from pairs import chords, one_body, random_case
 
-from mitsuba_refscatter import wavefront
-from mitsuba_refscatter.estimators import curve, interval, point
-from mitsuba_refscatter.optics import Source
+from mitsuba_refscatter.estimators import curve, interval, point, wavefront
+from mitsuba_refscatter.optics import LocalLight
 
 SAME = 1e-3
 """Distance in (u, v) within which two roots are the same."""
@@ -27,7 +26,7 @@ def roots_for(mesh, eta, light, folder, culling, V):
     made = one_body(mesh, eta, light, folder, culling=culling, estimator="point")
     segments = soup.points_as_segments(V - made.body.centre)
     roots = soup.Roots()
-    wavefront.scatter(segments, made.culling, made.lighting, made.prepared.accuracy, roots)
+    wavefront.scatter(segments, made.culling, made.illumination, made.prepared.accuracy, roots)
     if not roots.found:
         return np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2))
     segment, tri, uv = roots.all()
@@ -84,14 +83,14 @@ def bumpy(rgb, tmp_path):
 
 
 def per_segment(lights, choice):
-    """The lighting in which each segment has the light of its choice."""
-    first = lights[0].lighting
-    L = np.array([np.array(made.lighting.light.L)[:, 0] for made in lights])[choice]
-    return replace(first, light=Source(mi.Point3f(L.T), first.eta))
+    """The illumination in which each segment has the light of its choice."""
+    first = lights[0].illumination
+    L = np.array([np.array(made.illumination.light.L)[:, 0] for made in lights])[choice]
+    return replace(first, light=LocalLight(mi.Point3f(L.T), first.eta))
 
 
-def summed(made, segments, lighting, estimator, **more):
-    sums, _ = wavefront.scatter(segments, made.culling, lighting, made.prepared.accuracy, estimator, **more)
+def summed(made, segments, illumination, estimator, **more):
+    sums, _ = wavefront.scatter(segments, made.culling, illumination, made.prepared.accuracy, estimator, **more)
     return np.array(sums.value).T
 
 
@@ -103,7 +102,7 @@ def test_one_light_point_per_segment(bumpy, estimator):
     choice = np.random.default_rng(2).integers(0, len(LIGHTS), len(rays[0]))
     segments = spindles[0].segments(*rays)
     mixed = summed(spindles[0], segments, per_segment(spindles, choice), estimator)
-    alone = np.array([summed(made, segments, made.lighting, estimator) for made in beams])
+    alone = np.array([summed(made, segments, made.illumination, estimator) for made in beams])
     expected = alone[choice, np.arange(len(choice))]
     assert expected.sum() > 0
     # Beams are cut into parts in advance, and intervals with them.

@@ -13,7 +13,7 @@ from extremes import bumps
 from meshes import BoxTree, dot, fresnel_reflectance, icosphere, make_patches, take, unit
 from pairs import one_body
 
-from mitsuba_refscatter import wavefront
+from mitsuba_refscatter.estimators import wavefront
 
 LINES = 56
 PIECE = 0.1
@@ -76,7 +76,7 @@ def test_power(rgb, tmp_path, mesh, eta, sigma_t):
         segments = made.segments(o, d, length)
         segments.sigma_t = mi.Spectrum(sigma_t)
         sums, _ = wavefront.scatter(
-            segments, made.culling, made.lighting, made.prepared.accuracy, made.prepared.estimator
+            segments, made.culling, made.illumination, made.prepared.accuracy, made.prepared.estimator
         )
         fluence = 4 * np.pi * np.array(sums.value)[0]  # isotropic scattering
         x = sigma_t * length

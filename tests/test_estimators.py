@@ -9,11 +9,11 @@ from comparison import bias, l1
 from meshes import box, bumpy_sphere, icosphere
 
 from mitsuba_refscatter import tolerances
-from mitsuba_refscatter.compare import convergence
-from mitsuba_refscatter.compare.methods import METHODS
+from mitsuba_refscatter.benchmarks import convergence
+from mitsuba_refscatter.benchmarks.methods import METHODS
 from mitsuba_refscatter.estimators import interval, point
-from mitsuba_refscatter.estimators.lighting import Lighting
-from mitsuba_refscatter.optics import Source
+from mitsuba_refscatter.light.illumination import Illumination
+from mitsuba_refscatter.optics import LocalLight
 from mitsuba_refscatter.transport.segments import LocalSegments
 
 COMBINATIONS = [
@@ -153,10 +153,10 @@ def test_sample_points_of_segments(rgb, n):
     d = rng.normal(size=(3, count))
     d /= np.linalg.norm(d, axis=0)
     segments = LocalSegments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max), mi.Spectrum(sigma_t))
-    lighting = Lighting(Source(mi.Point3f(L), mi.Float(1.5)), 1, None, None, None)
+    illumination = Illumination(LocalLight(mi.Point3f(L), mi.Float(1.5)), 1, None, None, None)
     total = np.zeros((3, count))
     for first in (0, n // 2):
-        index, points, weight = point.queries(segments, lighting, first, n // 2, n, seed=7)
+        index, points, weight = point.queries(segments, illumination, first, n // 2, n, seed=7)
         index, along = (
             np.array(index),
             np.einsum("in,in->n", np.array(points.o) - o[:, np.array(index)], d[:, np.array(index)]),

@@ -12,9 +12,11 @@ from test_cli import SPHERE, assert_one_sentence, needs_variant, refscatter, sce
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from mitsuba_refscatter import cli, console, platform, spelling
+from mitsuba_refscatter import platform
+from mitsuba_refscatter.commands import console, main
+from mitsuba_refscatter.core import spelling
 
-COMMANDS = sorted(get_command(cli.app).commands)
+COMMANDS = sorted(get_command(main.app).commands)
 LINES, COLUMNS = 40, 80
 
 
@@ -35,7 +37,7 @@ def test_without_arguments_the_command_says_how_to_use_it():
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_fits_a_screen_and_shows_an_example(name):
     """The example is one line and its options are those of the command."""
-    done = CliRunner(env={"COLUMNS": str(COLUMNS)}).invoke(cli.app, [name, "--help"])
+    done = CliRunner(env={"COLUMNS": str(COLUMNS)}).invoke(main.app, [name, "--help"])
     assert done.exit_code == 0
     fits(done.stdout)
     (example,) = re.findall(rf"Example: refscatter {name}\b.*", done.stdout)
@@ -76,14 +78,14 @@ def test_a_gpu_is_said_to_be_untried(rgb, monkeypatch, tmp_path):
 
     report = dataclasses.replace(platform.report(), gpu_problem=None)
     monkeypatch.setattr(platform, "report", lambda: report)
-    assert re.search(rf"^GPU +usable, but {platform.GPU_REMARK}", CliRunner().invoke(cli.app, ["check"]).stdout, re.M)
+    assert re.search(rf"^GPU +usable, but {platform.GPU_REMARK}", CliRunner().invoke(main.app, ["check"]).stdout, re.M)
     monkeypatch.setattr(platform, "require_usable", lambda name: None)
     monkeypatch.setattr(mi, "set_variant", lambda name: None)
-    monkeypatch.setattr(cli, "_render", stop)
+    monkeypatch.setattr(main, "_render", stop)
     for variant in (rgb, "cuda_ad_rgb"):
-        monkeypatch.setattr(cli, "err", rich.console.Console(file=io.StringIO(), soft_wrap=True))
-        CliRunner().invoke(cli.app, ["render", str(SPHERE), "-m", variant, "-o", str(tmp_path / "out.exr")])
-        told = cli.err.file.getvalue()
+        monkeypatch.setattr(main, "err", rich.console.Console(file=io.StringIO(), soft_wrap=True))
+        CliRunner().invoke(main.app, ["render", str(SPHERE), "-m", variant, "-o", str(tmp_path / "out.exr")])
+        told = main.err.file.getvalue()
         assert f"in {variant} ..." in told and (platform.GPU_REMARK in told) == variant.startswith("cuda")
 
 
@@ -137,7 +139,7 @@ def test_an_unexpected_error_is_one_line_and_a_hint(arguments, monkeypatch, caps
 
     monkeypatch.setattr("mitsuba_refscatter.platform.report", broken)
     monkeypatch.setattr(console, "err", rich.console.Console(file=io.StringIO(), soft_wrap=True))
-    done = CliRunner().invoke(cli.app, arguments)
+    done = CliRunner().invoke(main.app, arguments)
     told = console.err.file.getvalue()
     lines = told.splitlines()
     assert done.exit_code == 1
@@ -158,7 +160,7 @@ def test_progress_is_shown_on_a_terminal_only(terminal, quiet, monkeypatch):
 
 
 def test_every_long_command_can_be_quiet():
-    commands = get_command(cli.app).commands
+    commands = get_command(main.app).commands
     quiet = {name for name in COMMANDS if any("--quiet" in p.opts for p in commands[name].params)}
     assert quiet == {"render", "compare", "gallery", "scaling", "convergence", "equal-error", "tradeoff"}
     assert_one_sentence(refscatter("scaling", "--quiet"), "nothing would be left", code=2)

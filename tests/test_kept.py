@@ -11,8 +11,8 @@ from meshes import Mesh, bumpy_sphere, triangle_grid
 from test_same_again import assert_same
 
 from mitsuba_refscatter import options
-from mitsuba_refscatter.integrators import coarseness, lit
-from mitsuba_refscatter.kept import Kept
+from mitsuba_refscatter.core.cache import Cache
+from mitsuba_refscatter.integrators import lit, mesh_choice
 
 LAMP = (-2.6, 2.4, -0.9)
 
@@ -93,11 +93,11 @@ def test_the_coarse_mesh_follows_the_scene(ball, render, monkeypatch):
     (original, found), (fresh, levels) = render(one, scene), render(refscatter(), scene)
     assert len(levels) == 1 and found == levels != by_other
     assert_same(original, fresh)
-    made = dict(one.kept._now)
+    made = dict(one.cache._now)
     with monkeypatch.context() as context:  # the second render chooses and makes nothing
-        context.setattr(coarseness, "suitable", None)
+        context.setattr(mesh_choice, "suitable", None)
         assert_same(render(one, scene)[0], original)
-    assert all(made.get(key) is value for key, value in one.kept._now.items())
+    assert all(made.get(key) is value for key, value in one.cache._now.items())
     different = set()
     for name, (key, value) in CHANGES.items():
         before = change(scene, key, value)
@@ -183,14 +183,14 @@ def test_nothing_is_kept_of_points_that_are_drawn(rgb, tmp_path):
     lamp = {"type": "sphere", "center": [0, 0, 3], "emitter": {"type": "area"}}
     body = build.mesh_shape(bumpy_sphere(2, 0.2), tmp_path / "m.ply")
     prepared = lit.Prepared(
-        mi.load_dict({"type": "scene", "body": body, "lamp": lamp}), options.Options(), lambda: 0, Kept()
+        mi.load_dict({"type": "scene", "body": body, "lamp": lamp}), options.Options(), lambda: 0, Cache()
     )
     (region,), (light,) = prepared.scene.regions, prepared.scene.lights
     counts = []
     for x in (0.3, 0.5, 0.7):
         point = light.draw(mi.Point2f(x, 0.98), 1.0)
         assert prepared.lit(region.boundaries[0], region, point, drawn=True)[1] is not None
-        counts.append(len(prepared.kept._now))
+        counts.append(len(prepared.cache._now))
     assert counts[0] > 0 and len(set(counts)) == 1
     prepared.lit(region.boundaries[0], region, replace(point, shape=None))
-    assert len(prepared.kept._now) == counts[0] + 1
+    assert len(prepared.cache._now) == counts[0] + 1

@@ -8,10 +8,10 @@ from against_volpath import WITHIN, colour, medium, to
 from build import point_light
 
 from mitsuba_refscatter import options
+from mitsuba_refscatter.core.cache import Cache
+from mitsuba_refscatter.core.sobol import Batch, Sequence
 from mitsuba_refscatter.integrators import lit
-from mitsuba_refscatter.kept import Kept
-from mitsuba_refscatter.scene import lights as light_points
-from mitsuba_refscatter.sequence import Batch, Sequence
+from mitsuba_refscatter.scene import emitters as light_points
 
 pytestmark = pytest.mark.usefixtures("rgb")
 
@@ -28,7 +28,7 @@ def prepared(rgb):
         "type": "scene", "a_medium": medium(), "a": panel(-2, 1.0), "b": panel(2, 3.0), "lamp": point_light((0, 9, 0)),
         "body": {"type": "cube", "bsdf": {"type": "null"}, "interior": WITHIN},
     })  # fmt: skip
-    return lit.Prepared(scene, options.Options(light_samples=8), lambda: 0, Kept())
+    return lit.Prepared(scene, options.Options(light_samples=8), lambda: 0, Cache())
 
 
 def place(point):

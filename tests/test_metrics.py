@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mitsuba_refscatter.compare import metrics, race
+from mitsuba_refscatter.benchmarks import metrics, race
 
 
 @pytest.fixture

@@ -10,7 +10,9 @@ import test_real_scenes as real
 from against_volpath import WITHIN, camera, colour, glass, to
 from build import point_light
 
-from mitsuba_refscatter import console, kept, missing
+from mitsuba_refscatter import missing
+from mitsuba_refscatter.commands import console
+from mitsuba_refscatter.core import cache
 from mitsuba_refscatter.missing import walk
 from mitsuba_refscatter.missing.emission import photons
 from mitsuba_refscatter.scene import read, surfaces
@@ -54,7 +56,7 @@ def box(*steps, bsdf=None, **more):
 
 def shares(scene):
     """Shares of the light in the first medium that scatters, by kind."""
-    scene = read(scene, 0.01, kept.Kept())
+    scene = read(scene, 0.01, cache.Cache())
     left, _ = walk.follow(scene, photons(scene))
     (first, *_) = [region.index for region in scene.regions if region.scatters]
     return left[:, first] / left[:, first].sum()
@@ -91,7 +93,7 @@ MISSING = {
 @pytest.mark.parametrize("name", MISSING)
 def test_what_is_missing_is_told_by_name(name):
     parts, reason = MISSING[name]
-    told = missing.in_media(read(loaded(**parts()), 0.01, kept.Kept()))
+    told = missing.in_media(read(loaded(**parts()), 0.01, cache.Cache()))
     assert any(reason in sentence for sentence in told), told
     assert all('in the medium "medium" is missing' in sentence for sentence in told)
     others = [sentence for sentence in told if reason not in sentence and "reflected" not in sentence]
@@ -99,7 +101,7 @@ def test_what_is_missing_is_told_by_name(name):
 
 
 def test_further_scattering_is_told():
-    milk = read(loaded(albedo=0.998, sigma_t=6.0, light=LAMP, body=ball()), 0.01, kept.Kept())
+    milk = read(loaded(albedo=0.998, sigma_t=6.0, light=LAMP, body=ball()), 0.01, cache.Cache())
     (told,) = missing.in_media(milk)
     assert "it has scattered before" in told and 70 < int(re.search(r"about (\d+)%", told)[1]) <= 100
 
@@ -120,7 +122,7 @@ COMPLETE = [
 @pytest.mark.parametrize("name", COMPLETE)
 def test_nothing_is_told_where_nothing_is_missing(name):
     scene = real.CASES[name].scene({"type": "refscatter"}, albedo=FAINT)
-    assert missing.in_media(read(scene, 0.01, kept.Kept())) == []
+    assert missing.in_media(read(scene, 0.01, cache.Cache())) == []
 
 
 def test_the_table_is_long_enough():
@@ -236,11 +238,11 @@ def test_surfaces_that_are_instanced_are_not_black():
 
 def test_surfaces_that_cannot_say_what_they_reflect_end_no_render():
     parts = {"light": LAMP, "body": ball(), "floor": floor()}
-    scene = read(loaded(**parts), 0.01, kept.Kept())
+    scene = read(loaded(**parts), 0.01, cache.Cache())
     kinds = [{"type": "hair"}, {"type": "mask", "opacity": 0.5, "bsdf": {"type": "diffuse"}}, {"type": "principled"}]
     for bsdf in kinds:
         parts["floor"] = {**floor(), "bsdf": bsdf}
-        assert 0 < np.array(read(loaded(**parts), 0.01, kept.Kept()).albedos()).max() <= 1
+        assert 0 < np.array(read(loaded(**parts), 0.01, cache.Cache()).albedos()).max() <= 1
 
     class Mute:
         def eval_diffuse_reflectance(self, si):

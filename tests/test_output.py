@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_refscatter import output
+from mitsuba_refscatter import image_io
 
 
 def render_box(pixel_format="rgb"):
@@ -25,7 +25,7 @@ def channels(bitmap):
 
 def test_every_channel_is_written_with_its_name(variant, tmp_path):
     bitmap = render_box()
-    exr, png = output.write_image(tmp_path / "picture.exr", bitmap)
+    exr, png = image_io.write_image(tmp_path / "picture.exr", bitmap)
     read = mi.Bitmap(str(exr))
     before, after = (channels(b) for b in (bitmap, read))
     assert "depth.T" in before and ("Y" if "mono" in variant else "R") in before
@@ -37,7 +37,7 @@ def test_every_channel_is_written_with_its_name(variant, tmp_path):
 
 @pytest.mark.parametrize("pixel_format", ["luminance", "luminance_alpha", "rgba", "xyz", "xyza"])
 def test_every_film_format_gets_a_png(rgb, pixel_format, tmp_path):
-    exr, png = output.write_image(tmp_path / "picture", render_box(pixel_format))
+    exr, png = image_io.write_image(tmp_path / "picture", render_box(pixel_format))
     assert exr.name == "picture.exr" and png is not None and png.exists()
     # The box is mostly lit: a wrong conversion (alpha or luminance as a colour) would be black or flat.
     assert np.array(mi.Bitmap(str(png))).std() > 10
@@ -46,26 +46,26 @@ def test_every_film_format_gets_a_png(rgb, pixel_format, tmp_path):
 def test_exposure_follows_the_lit_pixels_only():
     image = np.zeros((100, 100, 3))
     image[:10] = 4.0
-    assert output.exposure(image) == pytest.approx(0.2)
+    assert image_io.exposure(image) == pytest.approx(0.2)
     image[0, 0], image[50, 50] = np.inf, np.nan
-    assert output.exposure(image) == pytest.approx(0.2)
+    assert image_io.exposure(image) == pytest.approx(0.2)
     # One firefly in a thousand pixels must not darken the picture.
     image[1, 1] = 1e6
-    assert output.exposure(image) == pytest.approx(0.2)
+    assert image_io.exposure(image) == pytest.approx(0.2)
 
 
 def test_tone_mapping_of_hard_images():
-    assert (output.tone_map(np.zeros((4, 4, 3))) == 0).all()
+    assert (image_io.tone_map(np.zeros((4, 4, 3))) == 0).all()
     hard = np.full((4, 4, 3), 0.5)
     hard[0, 0], hard[0, 1], hard[0, 2] = np.nan, np.inf, -1.0
-    mapped = output.tone_map(hard)
+    mapped = image_io.tone_map(hard)
     # 0.8 linear is 230.8 of 255 in sRGB.
     assert (mapped[0, :3] == 0).all() and (mapped[1:] == 231).all()
 
 
 def test_a_failing_write_leaves_the_earlier_picture(rgb, tmp_path):
     path = tmp_path / "picture.exr"
-    output.write_image(path, np.ones((4, 4, 3)))
+    image_io.write_image(path, np.ones((4, 4, 3)))
     before = path.read_bytes()
 
     class Broken:
@@ -74,18 +74,18 @@ def test_a_failing_write_leaves_the_earlier_picture(rgb, tmp_path):
                 file.write(b"half")
             raise RuntimeError("disk full")
 
-    with pytest.raises(output.OutputError, match="disk full"):
-        output.write_file(path, Broken().write)
+    with pytest.raises(image_io.OutputError, match="disk full"):
+        image_io.write_file(path, Broken().write)
     assert path.read_bytes() == before
     assert sorted(os.listdir(tmp_path)) == ["picture.exr", "picture.png"]
 
 
 def test_places_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(output.OutputError, match="is a directory"):
-        output.target(tmp_path)
-    with pytest.raises(output.OutputError, match="nothing can be written"):
-        output.target(tmp_path / "file" / "picture.exr")
-    with pytest.raises(output.OutputError, match="end in .exr"):
-        output.target(tmp_path / "picture.jpg")
-    assert output.target(tmp_path / "new" / "picture").name == "picture.exr"
+    with pytest.raises(image_io.OutputError, match="is a directory"):
+        image_io.target(tmp_path)
+    with pytest.raises(image_io.OutputError, match="nothing can be written"):
+        image_io.target(tmp_path / "file" / "picture.exr")
+    with pytest.raises(image_io.OutputError, match="end in .exr"):
+        image_io.target(tmp_path / "picture.jpg")
+    assert image_io.target(tmp_path / "new" / "picture").name == "picture.exr"

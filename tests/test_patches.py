@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from meshes import Mesh, icosphere
 
+from mitsuba_refscatter.core.cache import Cache
 from mitsuba_refscatter.geometry import triangle
-from mitsuba_refscatter.kept import Kept
-from mitsuba_refscatter.scene import coarse, read
+from mitsuba_refscatter.light import simplification
+from mitsuba_refscatter.scene import read
 
 N = 64
 
@@ -87,13 +88,13 @@ def test_patches_of_a_ball(rgb, tmp_path):
     mesh = Mesh(ball.vertices, ball.faces, ball.vertices)
     shape = build.mesh_shape(mesh, tmp_path / "ball.ply")
     scene = read(
-        mi.load_dict({"type": "scene", "body": shape, "light": build.point_light((-2.6, 2.4, -0.9))}), 0.01, Kept()
+        mi.load_dict({"type": "scene", "body": shape, "light": build.point_light((-2.6, 2.4, -0.9))}), 0.01, Cache()
     )
     body = scene.bodies[0]
-    levels = coarse.levels(body, 0.05, 0.6)
-    assert len(levels) > 4 and levels[-1].of(body, scene, Kept().once) is body
+    levels = simplification.levels(body, 0.05, 0.6)
+    assert len(levels) > 4 and levels[-1].of(body, scene, Cache().once) is body
     for level in levels[:-1]:
-        found = level.of(body, scene, Kept().once)
+        found = level.of(body, scene, Cache().once)
         assert found.stands_for is body and found.triangle_count == level.triangles
         tri = triangle.gather(triangle.Patches(mi.Float(found.packed())), dr.arange(mi.UInt32, level.triangles))
         edges = np.linalg.norm(found.corners - np.roll(found.corners, 1, axis=1), axis=2)

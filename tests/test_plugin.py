@@ -14,7 +14,7 @@ from test_cli import HANGS
 
 import mitsuba_refscatter
 from mitsuba_refscatter import tolerances
-from mitsuba_refscatter.scenes import write_ply
+from mitsuba_refscatter.example_scenes import write_ply
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from test_cli import SPHERE, assert_one_sentence, needs_variant, refscatter
 from test_reference import oracle_body
 
 import mitsuba_refscatter
-from mitsuba_refscatter import platform, scenes
+from mitsuba_refscatter import example_scenes, platform
 from mitsuba_refscatter.probing import ProbeError, curves, numbers, picture, view
 
 PIXEL = 40, 30
@@ -22,13 +22,13 @@ PIXEL = 40, 30
 
 @pytest.fixture(scope="module")
 def scene_file(tmp_path_factory):
-    return scenes.write_scene("bumpy_sphere", tmp_path_factory.mktemp("probe"), 1280)[0]
+    return example_scenes.write_scene("bumpy_sphere", tmp_path_factory.mktemp("probe"), 1280)[0]
 
 
 @pytest.fixture(scope="module")
 def scene(scene_file):
     mi.set_variant(platform.default_variant())
-    return scenes.load(scene_file, res="64")
+    return example_scenes.load(scene_file, res="64")
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +199,7 @@ def test_errors_say_what_to_do(rgb, scene, scene_file):
     other = scene_file.with_name("constant.xml")
     other.write_text(text)
     with pytest.raises(ProbeError, match="Constant.*add a point"):
-        mitsuba_refscatter.probe(scenes.load(other, res="64"), *PIXEL)
+        mitsuba_refscatter.probe(example_scenes.load(other, res="64"), *PIXEL)
 
 
 @needs_variant
@@ -245,7 +245,7 @@ LAMP_INSIDE = (0.2, 0.3, 0.1)
 @needs_variant
 def test_light_inside_gives_airlight(rgb, scene_file):
     """A light in the body reaches the segment straight: its parts, and all of it, are those of the airlight integral."""
-    loaded, intensity, n = scenes.load(scene_file, res="64"), np.array([10.0, 6.0, 3.0]), 64
+    loaded, intensity, n = example_scenes.load(scene_file, res="64"), np.array([10.0, 6.0, 3.0]), 64
     body = oracle_body(loaded)
     probe = probe_with(loaded, [point_light(LAMP_INSIDE, intensity)], parts=n)
     segment = probe.segments[probe.segment]
@@ -267,7 +267,9 @@ def test_other_lights_and_the_other_culling(rgb, scene_file, case, tmp_path):
     """The integral is the estimator's: with the culling ``spindle``, a light inside of the body, which reaches the segment straight, and several lights."""
     sun = {"type": "directional", "direction": [0.3, -1, 0.2], "irradiance": {"type": "rgb", "value": [1, 1, 2]}}
     lights = {"spindle": [], "inside": [point_light(LAMP_INSIDE)], "several": [point_light((-3, 2, 1)), sun]}[case]
-    probe = probe_with(scenes.load(scene_file, res="64"), lights, culling="spindle" if case == "spindle" else "beams")
+    probe = probe_with(
+        example_scenes.load(scene_file, res="64"), lights, culling="spindle" if case == "spindle" else "beams"
+    )
     np.testing.assert_allclose(probe.integral, probe.estimated, rtol=2e-3)
     assert probe.integral.min() > 0 and (probe.straight.any() == (case == "inside"))
     refracted = {"spindle": {0}, "inside": set(), "several": {0, 1}}[case]

@@ -13,14 +13,14 @@ import pytest
 from comparison import bias, l1
 from meshes import Mesh
 
-from mitsuba_refscatter import scenes
-from mitsuba_refscatter.compare import duel, methods, race
+from mitsuba_refscatter import example_scenes
+from mitsuba_refscatter.benchmarks import duel, methods, race
 
 SHIPPED = Path(__file__).parent.parent / "scenes"
 
 
 def scene_and_rays(name, n):
-    scene = scenes.load(SHIPPED / name / "scene.xml")
+    scene = example_scenes.load(SHIPPED / name / "scene.xml")
     ray, _ = scene.sensors()[0].sample_ray(
         0, 0.5, mi.Point2f(*np.random.default_rng(2).uniform(0.25, 0.75, (2, n))), mi.Point2f(0.5)
     )
@@ -81,7 +81,7 @@ def test_a_scene_is_known_by_its_file_and_its_mesh(tmp_path):
         assert race.checked(file) is None
         mesh.unlink()
         assert race.checked(file) is None
-    assert race.checked(scenes.write_scene("sphere", tmp_path / "small", 80)[0]) is None
+    assert race.checked(example_scenes.write_scene("sphere", tmp_path / "small", 80)[0]) is None
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_a_scene_is_known_by_its_file_and_its_mesh(tmp_path):
 def test_reports_tell_the_figures_of_checked_scenes_alone(rgb, monkeypatch, known, bounces):
     made = race.Run("reference", {}, image=np.ones((8, 8, 3)), samples=3)
     monkeypatch.setattr(race, "reference", lambda *arguments: made)
-    scene, figures = scenes.load(SHIPPED / "sphere" / "scene.xml", res="8"), race.CHECKED["sphere"]
+    scene, figures = example_scenes.load(SHIPPED / "sphere" / "scene.xml", res="8"), race.CHECKED["sphere"]
     subject = duel.Subject("sphere", lambda: scene, 5120, figures if known else None)
     about = duel.compare(subject, [], race.Setup(rgb, internal_bounces=bounces)).about
     told = f"within {figures.l1:g} (L1)" in about and f"within {figures.bias:g} (bias)" in about

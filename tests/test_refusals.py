@@ -8,9 +8,9 @@ import pytest
 from faults import BALL, Maker, amber, glass, moved, points_of, refused, sensor, with_faces
 from meshes import Mesh, box
 
-from mitsuba_refscatter.compare import duel
+from mitsuba_refscatter.benchmarks import duel
 from mitsuba_refscatter.scene import SceneError
-from mitsuba_refscatter.scene.bodies import _read_mesh
+from mitsuba_refscatter.scene.boundaries import _read_mesh
 
 CUBE = box([-1, -1, -1], [1, 1, 1])
 

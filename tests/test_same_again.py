@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from meshes import icosphere
 
-from mitsuba_refscatter import scenes, tolerances
+from mitsuba_refscatter import example_scenes, tolerances
 
 SAME = 1e-5
 """Relative difference of images, in the mean and at a pixel of mean brightness: sums are in another order."""
 
 
 def load(tmp_path, name="branches", triangles=5120, resolution=24):
-    path, _ = scenes.write_scene(name, tmp_path / name, triangles)
-    return scenes.load(path, res=str(resolution))
+    path, _ = example_scenes.write_scene(name, tmp_path / name, triangles)
+    return example_scenes.load(path, res=str(resolution))
 
 
 def refscatter(**properties):

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mitsuba_refscatter import scenes
+from mitsuba_refscatter import example_scenes
+from mitsuba_refscatter.example_scenes.surface_nets import is_closed
 from mitsuba_refscatter.geometry.geodesic import geodesic_sphere, nearest_frequency
-from mitsuba_refscatter.scenes.surface_nets import is_closed
 
 COMMITTED = Path(__file__).parent.parent / "scenes"
 COUNTS = [("sphere", 1280), ("sphere", 20), ("bumpy_sphere", 20480), ("rounded_cube", 5120), ("branches", 12000)]
@@ -15,7 +15,7 @@ COUNTS = [("sphere", 1280), ("sphere", 20), ("bumpy_sphere", 20480), ("rounded_c
 
 @pytest.fixture(scope="module", params=COUNTS, ids=lambda p: f"{p[0]}-{p[1]}")
 def body(request):
-    return request.param, scenes.make_body(*request.param)
+    return request.param, example_scenes.make_body(*request.param)
 
 
 def face_vectors(vertices, faces):
@@ -68,7 +68,7 @@ def test_normals_are_those_of_the_smooth_surface(name):
     """The mean of the face vectors around a vertex tends to the normal as the mesh is refined."""
     errors = []
     for count in (5120, 20480):
-        vertices, faces, normals = scenes.make_body(name, count)
+        vertices, faces, normals = example_scenes.make_body(name, count)
         mean = np.zeros_like(normals)
         for i in range(3):
             np.add.at(mean, faces[:, i], face_vectors(vertices, faces))
@@ -80,7 +80,7 @@ def test_normals_are_those_of_the_smooth_surface(name):
 @pytest.mark.parametrize("name", ["bumpy_sphere", "rounded_cube", "branches"])
 def test_bodies_are_not_convex(name):
     """Most faces of a convex body have nothing in front of them."""
-    vertices, faces, _ = scenes.make_body(name, 12000)
+    vertices, faces, _ = example_scenes.make_body(name, 12000)
     area = face_vectors(vertices, faces)[::20]
     flat = area / np.linalg.norm(area, axis=1, keepdims=True)
     height = (vertices @ flat.T - (vertices[faces[::20, 0]] * flat).sum(axis=1)).max(axis=0)
@@ -89,13 +89,13 @@ def test_bodies_are_not_convex(name):
 
 @pytest.mark.parametrize("name, count", [("nonsense", 100), ("sphere", 0), ("sphere", 10**9), ("branches", 100)])
 def test_impossible_bodies_are_refused(name, count):
-    with pytest.raises(scenes.BodyError):
-        scenes.make_body(name, count)
+    with pytest.raises(example_scenes.BodyError):
+        example_scenes.make_body(name, count)
 
 
-@pytest.mark.parametrize("name", scenes.SCENES)
+@pytest.mark.parametrize("name", example_scenes.SCENES)
 def test_committed_files_are_what_the_command_writes(name, tmp_path):
-    path, _ = scenes.write_scene(name, tmp_path)
+    path, _ = example_scenes.write_scene(name, tmp_path)
     assert path.read_text() == (COMMITTED / name / "scene.xml").read_text()
     mesh = Path("meshes") / f"{name}.ply"
     new, old = (Path(folder / mesh).read_bytes() for folder in (tmp_path, COMMITTED / name))
@@ -103,18 +103,18 @@ def test_committed_files_are_what_the_command_writes(name, tmp_path):
     end = new.index(b"end_header\n") + 11
     assert len(new) == len(old) and new[:end] == old[:end]
     if name != "branches":  # its relaxation may differ in the last bits between machines
-        count = 6 * scenes.make_body(name)[0].shape[0]
+        count = 6 * example_scenes.make_body(name)[0].shape[0]
         a, b = (np.frombuffer(data, "<f4", count, end) for data in (new, old))
         assert np.abs(a - b).max() < 1e-6
 
 
-@pytest.mark.parametrize("name", scenes.SCENES)
+@pytest.mark.parametrize("name", example_scenes.SCENES)
 def test_scenes_load_and_are_lit(name, variant):
     text = (COMMITTED / name / "scene.xml").read_text()
-    scene = scenes.load(COMMITTED / name / "scene.xml", res=16)
+    scene = example_scenes.load(COMMITTED / name / "scene.xml", res=16)
     body = next(shape for shape in scene.shapes() if shape.id() == "body")
     assert body.is_mesh() and body.has_vertex_normals() and body.interior_medium() is not None
-    assert body.face_count() == scenes.SCENES[name].triangles
+    assert body.face_count() == example_scenes.SCENES[name].triangles
     assert 'value="256"' in text and 'component_format" value="float32"' in text
     places = [emitter.bbox().center() for emitter in scene.emitters() if emitter.bbox().valid()]
     assert places or name == "underwater"  # whose lights are distant

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from mitsuba_refscatter import sequence
-from mitsuba_refscatter.sequence import LIGHT, PLACE, Batch, Sequence
+from mitsuba_refscatter.core import sobol
+from mitsuba_refscatter.core.sobol import LIGHT, PLACE, Batch, Sequence
 
 pytestmark = pytest.mark.usefixtures("rgb")
 
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("rgb")
 @pytest.mark.parametrize("count", [1, 16, 1024, 4096])
 def test_sobol_against_scipy(count):
     """Which has the points of each power of two in another order."""
-    ours = np.stack([sequence.sobol(np.arange(count), k) for k in range(4)], axis=-1) / 2**32
+    ours = np.stack([sobol.sobol(np.arange(count), k) for k in range(4)], axis=-1) / 2**32
     theirs = qmc.Sobol(4, scramble=False).random(count)
     assert (ours[np.lexsort(ours.T)] == theirs[np.lexsort(theirs.T)]).all()
 
@@ -36,7 +36,7 @@ def test_a_pixel_has_one_sobol_sequence(per_pixel, light_samples):
     """From pass to pass, place and light together: all but one turn per pixel."""
     passes = 64 // per_pixel
     x, which = numbers(Sequence(5), [Batch(k * per_pixel, per_pixel) for k in range(passes)], 100, light_samples)
-    plain = np.stack([sequence.sobol(np.arange(passes * per_pixel), k) for k in PLACE + LIGHT], axis=-1) >> 8
+    plain = np.stack([sobol.sobol(np.arange(passes * per_pixel), k) for k in PLACE + LIGHT], axis=-1) >> 8
     turns = x ^ plain
     assert (turns == turns[:, :1]).all()
     assert len(np.unique(turns[:, 0, :2], axis=0)) == 100  # of places, for each pixel
@@ -53,7 +53,7 @@ def test_all_light_points_of_a_pass_are_evenly_spread(per_pixel, light_samples):
     passes are not the same."""
     made = Sequence(5)
     pools = [made.shared(light_samples, Batch(k * per_pixel, per_pixel), 1)[0] for k in range(2)]
-    plain = np.stack([sequence.sobol(np.arange(light_samples), k) / 2**32 for k in LIGHT], axis=-1)
+    plain = np.stack([sobol.sobol(np.arange(light_samples), k) / 2**32 for k in LIGHT], axis=-1)
     m = light_samples.bit_length() - 1
     for points in pools:
         assert len(points) == light_samples
@@ -69,7 +69,7 @@ def test_passes_may_grow():
     sizes, made = (1, 1, 2, 4, 7, 5), Sequence(5)
     batches = [Batch(sum(sizes[:k]), size) for k, size in enumerate(sizes)]
     x = np.concatenate([numbers(made, [batch], 1, batch.per_pixel)[0] for batch in batches], axis=1)[0]
-    plain = np.stack([sequence.sobol(np.arange(sum(sizes)), k) for k in PLACE + LIGHT], axis=-1) >> 8
+    plain = np.stack([sobol.sobol(np.arange(sum(sizes)), k) for k in PLACE + LIGHT], axis=-1) >> 8
     assert ((x ^ plain) == (x ^ plain)[0]).all()
 
 
@@ -77,7 +77,7 @@ def test_few_light_points_are_shared():
     """By consecutive samples, as evenly as it goes; they go on in the next pass."""
     x, which = numbers(Sequence(5), [Batch(0, 10), Batch(10, 10)], 3, 4)
     assert (which[:, :10] == np.arange(10) // 3).all() and (which[:, :10] == which[:, 10:]).all()
-    light = x[0, ::1, 2:] ^ np.stack([sequence.sobol(np.arange(8), k) for k in LIGHT], axis=-1)[
+    light = x[0, ::1, 2:] ^ np.stack([sobol.sobol(np.arange(8), k) for k in LIGHT], axis=-1)[
         np.arange(20) // 10 * 4 + np.arange(20) % 10 // 3] >> 8  # fmt: skip
     assert (light == light[0]).all()
 

@@ -9,7 +9,7 @@ from comparison import l1
 from meshes import Mesh
 
 from mitsuba_refscatter.geometry import mesh as mesh_facts
-from mitsuba_refscatter.scene import shapes
+from mitsuba_refscatter.scene import tessellation
 from mitsuba_refscatter.scene.errors import SceneError
 
 GLASS = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
@@ -22,7 +22,7 @@ def is_glass(shape):
 
 
 def expand(scene, tolerance=0.03):
-    return shapes.expand(scene, is_glass, tolerance)
+    return tessellation.expand(scene, is_glass, tolerance)
 
 
 def load(**parts):
@@ -368,13 +368,13 @@ def test_errors_of_the_caller_pass(rgb):
 
     scene = load(g={"type": "shapegroup", "box": {"type": "cube", "bsdf": GLASS}}, i=at("g"))
     with pytest.raises(SceneError, match="no"):
-        shapes.expand(scene, refuse, 0.01)
+        tessellation.expand(scene, refuse, 0.01)
     assert [n.id() for n in mi.traverse(scene).hierarchy if n.class_name() == "ShapeGroupPlugin"] == ["g"]
 
 
 def test_fineness_follows_the_tolerance(rgb):
     tolerances = [1, 0.1, 0.01, 1e-3, 1e-4, 0]
-    f, n = [shapes.frequency(x) for x in tolerances], [shapes.segments(x) for x in tolerances]
+    f, n = [tessellation.frequency(x) for x in tolerances], [tessellation.segments(x) for x in tolerances]
     assert f == sorted(f) and n == sorted(n)
     assert f[0] >= 4 and 20 * f[-1] ** 2 <= 330_000
     assert n[0] >= 16 and all(x & (x - 1) == 0 for x in n)

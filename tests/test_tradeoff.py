@@ -9,8 +9,8 @@ import pytest
 from comparison import l1
 from test_cli import SPHERE, needs_variant, refscatter
 
-from mitsuba_refscatter import scenes, tolerances
-from mitsuba_refscatter.compare import tradeoff
+from mitsuba_refscatter import example_scenes, tolerances
+from mitsuba_refscatter.benchmarks import tradeoff
 
 OTHERS = {"interval_samples", "point_samples", "panels", "panel_points", "lobes", "adapts"}
 """Of estimators other than the curve, and of light that is not refracted."""
@@ -47,8 +47,8 @@ def test_every_choice_is_switched():
 @pytest.mark.slow
 def test_with_all_choices_switched_off_the_image_is_the_exact_one(rgb, tmp_path):
     """As at tolerance 0; the tests against closed forms and the oracle hold that to the truth."""
-    path, _ = scenes.write_scene("branches", tmp_path, 5120)
-    scene = scenes.load(path, res="32")
+    path, _ = example_scenes.write_scene("branches", tmp_path, 5120)
+    scene = example_scenes.load(path, res="32")
 
     def image(tolerance, changes):
         integrator = mi.load_dict(

@@ -8,7 +8,7 @@ import oracle
 import references
 from meshes import Mesh
 
-from mitsuba_refscatter.scenes import make_body
+from mitsuba_refscatter.example_scenes import make_body
 
 LIGHTS = [((-2.2, 2.9, 1.4), (30.0, 24.0, 18.0)), ((2.7, 1.1, -2.4), (9.0, 14.0, 25.0))]
 MEDIA = [  # eta, sigma_t, albedo, g

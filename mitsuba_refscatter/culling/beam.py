@@ -40,12 +40,12 @@ def sub_triangle(code, level):
     return u, v, h
 
 
-def refracted(tri, u, v, light):
-    """Position and refracted direction at (u, v) of triangles lit by ``light`` (continued where unlit), and the square of
-    its cosine, negative under total reflection."""
+def refracted(tri, u, v, incidence):
+    """Position and refracted direction at (u, v) of triangles (continued where unlit), and the square of its cosine, negative
+    under total reflection. ``incidence``: ``optics.Incidence``."""
     P = tri.position(u, v)
-    omega, c_L, _ = optics.refract_in(light.seen_from(P)[0], tri.normal(u, v), light.eta)
-    return P, omega, optics.inside_cosine2(c_L, light.eta)
+    omega, c_L, _ = optics.refract_in(incidence.light.seen_from(P)[0], tri.normal(u, v), incidence.eta)
+    return P, omega, optics.inside_cosine2(c_L, incidence.eta)
 
 
 @dataclass
@@ -70,19 +70,19 @@ class Piece:
         return [mi.Vector2f(self.u0 + self.h * u, self.v0 + self.h * v) for u, v in CORNERS]
 
 
-def piece_at(tri, light, u0, v0, h):
-    """``Piece``: the light beams that ``light`` (``optics.Source``) makes of parts of triangles.
+def piece_at(tri, incidence, u0, v0, h):
+    """``Piece``: the light beams that an ``optics.Incidence`` makes of parts of triangles.
 
     ``bend`` bounds how far omega is from linear, in any direction: a quadratic deviates by at most 4/3 of what it
     does at the edges' middles; 2 leaves room for the cubic part. Where the critical angle may be passed, omega has
     a square root in it: all of c_V may be missed. ``twist`` bounds the same for what is bilinear in position and
     direction, as g is: 4/3 of |edge| |change| / 4; and how far a curved one is from its plane triangle.
     """
-    P, omega, c_V2 = zip(*(refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), light) for u, v in CORNERS))
+    P, omega, c_V2 = zip(*(refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), incidence) for u, v in CORNERS))
     bend, twist, curved, sag = mi.Float(0), mi.Float(0), mi.Float(0), mi.Float(0)
     for i, (u, v) in enumerate(MIDDLES):
         j, k = (i + 1) % 3, (i + 2) % 3
-        at, middle, inside = refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), light)
+        at, middle, inside = refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), incidence)
         if tri.curved:
             sag = dr.maximum(sag, 4 / 3 * dr.norm(at - 0.5 * (P[j] + P[k])))
         bend = dr.maximum(bend, 2 * dr.norm(middle - 0.5 * (omega[j] + omega[k])))

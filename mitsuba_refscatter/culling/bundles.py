@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from .. import lanes, tolerances
+from .. import tolerances
+from ..core import arrays
 from ..geometry import bvh
 from .pairs import Pairs
 
@@ -35,11 +36,11 @@ class Bundles:
         return {key: value for key, value in vars(self).items() if key != "most"}
 
     def gather(self, index):
-        return Bundles(**{key: lanes.gather(x, index) for key, x in self._fields().items()}, most=self.most)
+        return Bundles(**{key: arrays.gather(x, index) for key, x in self._fields().items()}, most=self.most)
 
     def joined(self, other):
         pairs = zip(self._fields().items(), other._fields().values())
-        return Bundles(**{key: lanes.concat([a, b]) for (key, a), b in pairs}, most=self.most)
+        return Bundles(**{key: arrays.concat([a, b]) for (key, a), b in pairs}, most=self.most)
 
     def pairs(self, lane, leaf, index):
         """The (segment, item) pairs numbered ``index`` of (bundle, leaf) pairs, which have ``most * bvh.LEAF`` each."""
@@ -48,8 +49,8 @@ class Bundles:
         most = dr.opaque(mi.UInt32, self.most)
         item = index // most
         place = item // bvh.LEAF
-        first = lanes.gather(self.first, lanes.gather(lane, place))
-        return Pairs(first + (index - item * most), lanes.gather(leaf, place) * bvh.LEAF + (item & (bvh.LEAF - 1)))
+        first = arrays.gather(self.first, arrays.gather(lane, place))
+        return Pairs(first + (index - item * most), arrays.gather(leaf, place) * bvh.LEAF + (item & (bvh.LEAF - 1)))
 
 
 def bundles_of(segments, most, width):
@@ -64,10 +65,10 @@ def bundles_of(segments, most, width):
     together, apart = dr.compress(~wide), dr.compress(wide)
     if dr.width(apart) == 0:
         return out
-    apart = lanes.gather(first, apart)
+    apart = arrays.gather(first, apart)
     i = dr.arange(mi.UInt32, dr.width(apart) * most)
-    apart = lanes.gather(apart, i // most) + i % most
-    single = _bundle(segments, lanes.gather(apart, dr.compress(apart < dr.opaque(mi.UInt32, n))), 1)
+    apart = arrays.gather(apart, i // most) + i % most
+    single = _bundle(segments, arrays.gather(apart, dr.compress(apart < dr.opaque(mi.UInt32, n))), 1)
     return single if dr.width(together) == 0 else out.gather(together).joined(single)
 
 

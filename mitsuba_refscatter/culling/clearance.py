@@ -18,20 +18,16 @@ NODE = 12
 """Numbers per node: centre and radius of a sphere, middle and half width of the normals' box, 2 pad."""
 
 
-def estimate(reach, light):
-    """How far beams get, judged by four of their rays, for ``beams.build``: linear between those at the corners, give or take
-    several times what the one in the middle differs from that. ``reach(P, Ng, omega)``: length of rays."""
-
-    def clear(tri, piece):
-        ends = []
-        for u, v in (*beam.CORNERS, (1 / 3, 1 / 3)):
-            P, omega, _ = beam.refracted(tri, piece.u0 + piece.h * u, piece.v0 + piece.h * v, light)
-            ends.append(reach(P, tri.Ng, omega))
-        mean = (ends[0] + ends[1] + ends[2]) / 3
-        slack = tolerances.SAMPLED * dr.abs(ends[3] - mean) + tolerances.SAMPLED_LEAST * mean
-        return [*ends[:3], slack, slack]
-
-    return clear
+def estimate(tri, piece, shadows):
+    """How far beams get, as the numbers of ``pairs.Reach``, judged by four of their rays: linear between those at the corners, give or
+    take several times what the one in the middle differs from that. ``shadows``: ``visibility.Shadows`` of their light."""
+    ends = []
+    for u, v in (*beam.CORNERS, (1 / 3, 1 / 3)):
+        P, omega, _ = beam.refracted(tri, piece.u0 + piece.h * u, piece.v0 + piece.h * v, shadows.incidence)
+        ends.append(shadows.reach(P, tri.Ng, omega, None))
+    mean = (ends[0] + ends[1] + ends[2]) / 3
+    slack = tolerances.SAMPLED * dr.abs(ends[3] - mean) + tolerances.SAMPLED_LEAST * mean
+    return [*ends[:3], slack, slack]
 
 
 class Clearance:

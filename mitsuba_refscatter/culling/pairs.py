@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from .. import lanes
+from ..core import arrays
 from . import beam
 
 
@@ -24,7 +24,7 @@ class Pairs:
 
     def gather(self, index):
         """The pairs at ``index``."""
-        return Pairs(*(None if x is None else lanes.gather(x, index) for x in self.__dict__.values()))
+        return Pairs(*(None if x is None else arrays.gather(x, index) for x in self.__dict__.values()))
 
     def halves(self):
         """The pairs as two lists."""

@@ -18,16 +18,17 @@ from .. import optics, tolerances
 from ..geometry.surface import Surface
 from . import beam as light_beam
 from .pairs import Taken
+from .protocol import Culling
 
 NODE = 8
 """Numbers per node: centre and radius of the sphere, axis of the cone of normals and sine of its half-angle (1 or more:
 all directions)."""
 
 
-class Spindle:
+class Spindle(Culling):
     """The tree over the triangles of a body, and its tests. Independent of the light."""
 
-    for_one_light = False
+    for_one_light = takes_coarse_meshes = False
     bundle, width = 1, 0.0
     most_levels = tolerances.MOST_LEVELS
 
@@ -37,16 +38,21 @@ class Spindle:
         )
         self.tree, self.eta_above_1 = self.surface.tree, body.eta >= 1
 
-    def node_test(self, segments, light):
+    @classmethod
+    def of(cls, body, _shadows, structures, _drawn):
+        """As ``Culling.of``; the same for all lights."""
+        return structures.once("spindle", lambda: cls(body, structures.records(body)), body)
+
+    def node_test(self, segments, incidence):
         """The conservative test of camera segments against a node of the tree, for ``bvh.traverse``."""
 
         def hit(x):
             ball, cone = (mi.Vector3f(x[0:3]), x[3]), (mi.Vector3f(x[4:7]), x[7])
-            return _may_refract(ball, cone, segments, light, self.eta_above_1)
+            return _may_refract(ball, cone, segments, incidence, self.eta_above_1)
 
         return hit
 
-    def plausible(self, pairs, segment, light):
+    def plausible(self, pairs, segment, incidence):
         """The test for single triangles, which must face the light, too."""
         if pairs.code is not None:
             return mi.Bool(True)
@@ -55,20 +61,20 @@ class Spindle:
         normals = tri.corner_normals()
         middle = (normals[0] + normals[1] + normals[2]) / 3
         wide = light_beam.fold(dr.maximum, [dr.norm(n - middle) for n in normals])
-        facing = dr.dot(tri.Ng, light.to(tri.P0)) > 0
-        possible = _may_refract(tri.ball(), _cone(middle, wide), segment, light, self.eta_above_1)
+        facing = dr.dot(tri.Ng, incidence.light.to(tri.P0)) > 0
+        possible = _may_refract(tri.ball(), _cone(middle, wide), segment, incidence, self.eta_above_1)
         return exists & facing & possible
 
-    def triangle_of(self, pairs):
+    def triangle_of(self, pairs, active=True):
         """Indices of the pairs' triangles among the scene's records."""
-        return self.surface.at(pairs.beam)[0]
+        return self.surface.at(pairs.beam, active)[0]
 
-    def take(self, pairs, light, active=True):
+    def take(self, pairs, incidence, active=True):
         """``Taken``: triangles and light beams for pairs; nothing is proven."""
         _, tri = self.surface.at(pairs.beam, active)
         place = pairs.place(mi.Float(0), mi.Float(0), mi.Float(1))
-        piece = light_beam.piece_at(tri, light, *place)
-        coarse = light_beam.excess(piece, light) > 1
+        piece = light_beam.piece_at(tri, incidence, *place)
+        coarse = light_beam.excess(piece, incidence.light) > 1
         return Taken(tri, piece, pairs.code is not None, None, mi.Bool(False), coarse)
 
 
@@ -85,11 +91,11 @@ def _cone(middle, radius):
     return middle / length, dr.minimum(radius / length, 2)
 
 
-def _may_refract(ball, cone, segment, light, eta_above_1):
+def _may_refract(ball, cone, segment, incidence, eta_above_1):
     """False only if no point in the ball (centre, radius) with a normal in the cone (axis, sine of the half-angle) can
     refract light onto the segment."""
     (c, r), (axis, sin_n) = ball, cone
-    eta, a = light.eta, segment.o - c
+    light, eta, a = incidence.light, incidence.eta, segment.o - c
     near = dr.norm(a + dr.clip(-dr.dot(a, segment.d), 0, segment.t_max) * segment.d)
     to_L = light.to(c)
     d_L = dr.maximum(dr.norm(to_L), 1e-30)

@@ -52,7 +52,7 @@ class Chord:
         return self.to_E1 + tau * (self.to_E2 - self.to_E1)
 
 
-def chord_of(piece, tri, lighting, segment):
+def chord_of(piece, tri, illumination, segment):
     """The chord of beams, and the limits (``limits_at``) at its two ends, interpolated from the corners.
 
     It ends where a quadratic through the corners and the middle of an edge vanishes: there the curves of neighbouring triangles,
@@ -73,8 +73,8 @@ def chord_of(piece, tri, lighting, segment):
 
     g_A, g_B, g_C = turn(g)
     A, B, C = turn(piece.uv())
-    r1, flat_B = _root(A, B, g_A, g_B, tri, lighting, segment)
-    r2, flat_C = _root(A, C, g_A, g_C, tri, lighting, segment)
+    r1, flat_B = _root(A, B, g_A, g_B, tri, illumination, segment)
+    r2, flat_C = _root(A, C, g_A, g_C, tri, illumination, segment)
     size_A, size_B, size_C = dr.abs(g_A), dr.abs(g_B), dr.abs(g_C)
     from_B = flat_C & (size_B >= dr.maximum(size_A, size_C))
     from_C = flat_B & (size_C > dr.maximum(size_A, size_B))
@@ -84,17 +84,17 @@ def chord_of(piece, tri, lighting, segment):
     g_M = dr.select(from_B, g_B, dr.select(from_C, g_C, g_A))
     chord = Chord(M, to_E1, to_E2, scale, g_M, active, zeros.nonlinearity)
     ends = []
-    for values in _corner_limits(piece, tri, lighting, segment):
+    for values in _corner_limits(piece, tri, illumination, segment):
         at_A, at_B, at_C = turn(values)
         ends.append((at_A + r1 * (at_B - at_A), at_A + r2 * (at_C - at_A)))
     return chord, ends
 
 
-def _root(a, b, g_a, g_b, tri, lighting, segment):
+def _root(a, b, g_a, g_b, tri, illumination, segment):
     """Where g vanishes on edges from a to b (uv) as a share of them, of g with different signs at their ends and quadratic in between;
     and whether it is so far from linear that the curve may run along the edge."""
     middle = 0.5 * (a + b)
-    P, omega, _ = beam.refracted(tri, middle.x, middle.y, lighting.light)
+    P, omega, _ = beam.refracted(tri, middle.x, middle.y, illumination)
     g = dr.dot(omega, dr.cross(P - segment.o, segment.d))
     q, p = 2 * (g_a + g_b - 2 * g), 4 * g - 3 * g_a - g_b
     slope = dr.copysign(dr.safe_sqrt(dr.square(p) - 4 * q * g_a), g_b - g_a)
@@ -104,30 +104,30 @@ def _root(a, b, g_a, g_b, tri, lighting, segment):
     return x, dr.abs(g_a - g_b) < tolerances.FLAT * dr.abs(0.25 * q)
 
 
-def limits_at(point, t, s, tri, segment, lighting):
+def limits_at(point, t, s, tri, segment, illumination):
     """What must be positive for light to reach the segment: t, t_max - t, s, the cosine to the light, the cosine to
     the facet inside, and where light may be totally reflected the square of the refracted ray's cosine."""
     limits = [t, segment.t_max - t, s, point.c_L, -dr.dot(point.omega, tri.Ng)]
-    if lighting.total_reflection:
-        limits.append(optics.inside_cosine2(point.c_L, lighting.eta))
+    if illumination.total_reflection:
+        limits.append(optics.inside_cosine2(point.c_L, illumination.eta))
     return limits
 
 
-def _corner_limits(piece, tri, lighting, segment):
+def _corner_limits(piece, tri, illumination, segment):
     """``limits_at`` at the corners of a piece, three values each; the cosine to the light times positive lengths."""
     t, s, facing, leaving = [], [], [], []
     for P, omega, uv in zip(piece.P, piece.omega, piece.uv()):
         t_i, s_i = meeting(P, omega, segment)
         t.append(t_i)
         s.append(s_i)
-        facing.append(dr.dot(tri.normal_before(uv.x, uv.y), lighting.light.to(P)))
+        facing.append(dr.dot(tri.normal_before(uv.x, uv.y), illumination.light.to(P)))
         leaving.append(-dr.dot(omega, tri.Ng))
     limits = [t, [segment.t_max - t_i for t_i in t], s, facing, leaving]
-    if lighting.total_reflection:
-        limits.append([_inside_cosine2(tri, lighting, uv) for uv in piece.uv()])
+    if illumination.total_reflection:
+        limits.append([_inside_cosine2(tri, illumination, uv) for uv in piece.uv()])
     return limits
 
 
-def _inside_cosine2(tri, lighting, uv):
+def _inside_cosine2(tri, illumination, uv):
     """Square of the refracted ray's cosine; negative where light is totally reflected."""
-    return beam.refracted(tri, uv.x, uv.y, lighting.light)[2]
+    return beam.refracted(tri, uv.x, uv.y, illumination)[2]

@@ -26,12 +26,7 @@ from .. import optics, tolerances
 from ..culling import beam as light_beam
 from ..geometry.interval import gauss_legendre, positive_part
 from .chord import chord_of, limits_at, meeting
-
-classify = light_beam.classify
-"""Where a pair may contribute: the zeros of g."""
-
-needs_fine = True
-"""Whether light beams must be so small that few samples of the light on them do."""
+from .protocol import Estimator
 
 
 @dataclass
@@ -51,16 +46,16 @@ class _Point:
     g: object
 
 
-def _evaluate(tri, lighting, segment, u, v, a, b):
+def _evaluate(tri, illumination, segment, u, v, a, b):
     """The light at (u, v), g there and its derivative ``slope`` in the direction (a, b)."""
     P = tri.position(u, v)
     n, d_n = tri.normal_derivative(u, v, a, b)
     P_u, P_v = tri.tangents(u, v)
     d_P = P_u * a + P_v * b
-    omega_L, d_L = lighting.light.seen_from(P)
-    d_omega_L = lighting.light.turn(omega_L, d_L, d_P)
-    omega, c_L, c_V = optics.refract_in(omega_L, n, lighting.eta)
-    d_omega = optics.refract_in_derivative(omega_L, n, lighting.eta, c_L, c_V, d_omega_L, d_n)
+    omega_L, d_L = illumination.light.seen_from(P)
+    d_omega_L = illumination.light.direction_change(omega_L, d_L, d_P)
+    omega, c_L, c_V = optics.refract_in(omega_L, n, illumination.eta)
+    d_omega = optics.refract_in_derivative(omega_L, n, illumination.eta, c_L, c_V, d_omega_L, d_n)
     across = dr.cross(P - segment.o, segment.d)
     g = dr.dot(omega, across)
     slope = dr.dot(d_omega, across) + dr.dot(omega, dr.cross(d_P, segment.d))
@@ -94,52 +89,61 @@ def _clip(limits, tau0, tau1):
     return _Interval(tau0 + start * width, tau0 + end * width, unsure, path)
 
 
-def accumulate(sums, pairs, segments, culling, lighting, accuracy):
-    """Adds what the light beams of ``pairs`` bring to their segments to ``sums``.
+class Curve(Estimator):
+    """Exact integration over the light's side, to float32 where ``tolerance`` is 0."""
 
-    Where culling has proofs, first the pairs that they show free, without any shadow ray, then the others; otherwise, and for
-    parts of curves, which are few, all at once. Returns the pairs that were left out since their curves must be cut first.
-    """
-    arguments = (sums, segments, culling, lighting, accuracy)
+    takes_coarse_meshes = True
 
-    def proof(lighting, point, _tri, s, taken, _active):
-        free, blocked = lighting.known(point.u, point.v, s, taken)
-        return free, ~(free | blocked)
+    def classify(self, piece, segment):
+        """The zeros of g."""
+        return light_beam.classify(piece, segment)
 
-    def rays(lighting, point, tri, s, taken, active):
-        return lighting.visible(point.P, tri.Ng, point.omega, point.u, point.v, s, taken, active), False
+    def accumulate(self, sums, pairs, segments, culling, illumination, accuracy):
+        """As ``Estimator.accumulate``.
 
-    if lighting.shadowless or not culling.for_one_light or pairs.tau0 is not None:
-        return pairs.gather(dr.compress(_accumulate(pairs, *arguments, rays)[1]))
-    is_open, cut = _accumulate(pairs, *arguments, proof)
-    open_pairs = dr.compress(is_open)
-    if dr.width(open_pairs) > 0:
-        _accumulate(pairs.gather(open_pairs), *arguments, rays)
-    return pairs.gather(dr.compress(cut))
+        Where culling has proofs, first the pairs that they show free, without any shadow ray, then the others; otherwise, and for
+        parts of curves, which are few, all at once. Returns the pairs that were left out since their curves must be cut first.
+        """
+        arguments = (sums, segments, culling, illumination, accuracy)
+
+        def proof(illumination, point, _tri, s, taken, _active):
+            free, blocked = illumination.known(point.u, point.v, s, taken)
+            return free, ~(free | blocked)
+
+        def rays(illumination, point, tri, s, taken, active):
+            return illumination.visible(point.P, tri.Ng, point.omega, point.u, point.v, s, taken, active), False
+
+        if illumination.shadowless or not culling.for_one_light or pairs.tau0 is not None:
+            return pairs.gather(dr.compress(_accumulate(pairs, *arguments, rays)[1]))
+        is_open, cut = _accumulate(pairs, *arguments, proof)
+        open_pairs = dr.compress(is_open)
+        if dr.width(open_pairs) > 0:
+            _accumulate(pairs.gather(open_pairs), *arguments, rays)
+        return pairs.gather(dr.compress(cut))
 
 
-def lit_part(pairs, chord, ends, tri, lighting, segment, newton):
+def lit_part(pairs, chord, ends, tri, illumination, segment, newton):
     """The interval of the chord to integrate over: all of it, or that of the pairs, whose ends are solved for."""
     if pairs.tau0 is None:
         return _clip(ends, mi.Float(0), mi.Float(1))
     limits = []
     for tau in (pairs.tau0, pairs.tau1):
-        point, _, _ = solve(chord, chord.direction(tau), tri, lighting, segment, newton)
+        point, _, _ = solve(chord, chord.direction(tau), tri, illumination, segment, newton)
         t, s = meeting(point.P, point.omega, segment)
-        limits.append(limits_at(point, t, s, tri, segment, lighting))
+        limits.append(limits_at(point, t, s, tri, segment, illumination))
     return _clip(list(zip(*limits)), pairs.tau0, pairs.tau1)
 
 
-def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
-    """One kernel of ``accumulate``. ``shadow(lighting, point, tri, s, taken, active) -> (free, open)``; a pair with
+def _accumulate(pairs, sums, segments, culling, illumination, accuracy, shadow):
+    """One kernel of ``accumulate``. ``shadow(illumination, point, tri, s, taken, active) -> (free, open)``; a pair with
     a point that is open is left out, and so is one along which the optical depth changes too much, or that ends
     inside the beam at a place that is not known well enough. Returns which pairs are open, and which must be cut."""
-    segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
-    taken = culling.take(pairs, lighting.light)
+    segment, illumination = segments.gather(pairs.segment), illumination.at(pairs.segment)
+    taken = culling.take(pairs, illumination)
     tri = taken.tri
-    chord, ends = chord_of(taken.piece, tri, lighting, segment)
+    chord, ends = chord_of(taken.piece, tri, illumination, segment)
     newton = max(accuracy.newton, 1) if tri.curved else accuracy.newton
-    interval = lit_part(pairs, chord, ends, tri, lighting, segment, newton)
+    interval = lit_part(pairs, chord, ends, tri, illumination, segment, newton)
     sigma_t = segments.sigma_t_of(pairs.segment)
     width = dr.maximum(interval.end - interval.start, 0)
     slope = dr.abs(interval.path[2])
@@ -156,20 +160,20 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     scale = chord.scale * width
     total, contributes, is_open = mi.Spectrum(0), mi.Bool(False), mi.Bool(False)
     resolved = chord.nonlinearity <= dr.opaque(mi.Float, accuracy.linear)
-    points = accuracy.guest_points if lighting.guests else accuracy.points
+    points = accuracy.guest_points if illumination.guests else accuracy.points
     for tau, weight in zip(*gauss_legendre(points)):
         tau = interval.start + tau * (interval.end - interval.start)
-        point, inverse_slope, solved = solve(chord, chord.direction(tau), tri, lighting, segment, newton)
+        point, inverse_slope, solved = solve(chord, chord.direction(tau), tri, illumination, segment, newton)
         t, s = meeting(point.P, point.omega, segment)
         cut |= may_cut & interval.unsure & (dr.abs(t + s - interval.path_at(tau)) > slack)
         active = chord.active & ~cut & (width > 0)
-        for limit in limits_at(point, t, s, tri, segment, lighting):
+        for limit in limits_at(point, t, s, tri, segment, illumination):
             active &= limit > 0
-        free, undecided = shadow(lighting, point, tri, s, taken, active)
+        free, undecided = shadow(illumination, point, tri, s, taken, active)
         is_open |= active & undecided
         active &= free
-        value = weight * scale * inverse_slope * integrand(point, lighting, segment)
-        value *= dr.exp(-sigma_t * t - lighting.extinction(sigma_t, point.omega, segment.d) * s)
+        value = weight * scale * inverse_slope * integrand(point, illumination, segment)
+        value *= dr.exp(-sigma_t * t - illumination.extinction(sigma_t, point.omega, segment.d) * s)
         if points == 1:  # the mean of the exponential along the interval, relative to its middle
             value *= _sinhc(0.5 * change)
         finite = dr.all(dr.isfinite(value))
@@ -182,12 +186,12 @@ def _accumulate(pairs, sums, segments, culling, lighting, accuracy, shadow):
     return is_open, cut
 
 
-def integrand(point, lighting, segment):
+def integrand(point, illumination, segment):
     """What stands before the attenuation, per area in (u, v): T A2 |omega . Ng| p / d_L^2, for lights that
     do not send the same into all directions times what they do."""
-    measure = optics.transmission(point.c_L, point.c_V, lighting.eta) * dr.abs(dr.dot(point.omega, point.area))
-    arriving = lighting.emitted(point.P, point.omega_L, point.d_L) / dr.square(point.d_L)
-    return measure * lighting.phase(point.omega, segment.d) * arriving
+    measure = optics.transmission(point.c_L, point.c_V, illumination.eta) * dr.abs(dr.dot(point.omega, point.area))
+    arriving = illumination.emitted(point.P, point.omega_L, point.d_L) / dr.square(point.d_L)
+    return measure * illumination.phase(point.omega, segment.d) * arriving
 
 
 def _sinhc(x):
@@ -196,7 +200,7 @@ def _sinhc(x):
     return 1 + y / 6 + dr.square(y) / 120
 
 
-def solve(chord, D, tri, lighting, segment, newton):
+def solve(chord, D, tri, illumination, segment, newton):
     """The root of g on the ray from M along D, starting at the chord (lambda = 1).
 
     Returns the point there, lambda / |dg/dlambda|, and whether it was found. Where Newton's method leaves the
@@ -205,11 +209,11 @@ def solve(chord, D, tri, lighting, segment, newton):
     uv = chord.M + D
     lam = mi.Float(1)
     for _ in range(newton):
-        point = _evaluate(tri, lighting, segment, uv.x, uv.y, D.x, D.y)
+        point = _evaluate(tri, illumination, segment, uv.x, uv.y, D.x, D.y)
         step = point.g / dr.select(point.slope == 0, -chord.g_M, point.slope)
         lam = dr.clip(lam - step, 0, tolerances.OVERSHOOT)
         uv = chord.M + lam * D
-    point = _evaluate(tri, lighting, segment, uv.x, uv.y, D.x, D.y)
+    point = _evaluate(tri, illumination, segment, uv.x, uv.y, D.x, D.y)
     steepness = -point.slope * dr.sign(chord.g_M)
     linear = dr.maximum(dr.abs(chord.g_M), 1e-30)
     solved = (steepness > tolerances.SLOPE * linear) & (lam < tolerances.OVERSHOOT)

@@ -21,19 +21,15 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from .. import lanes, tolerances
+from .. import tolerances
+from ..core import arrays
 from ..culling import beam as light_beam
 from ..geometry.interval import positive_part
 from ..solve import newton
 from ..solve.constraint import connect
 from . import point_form
 from .chord import chord_of, meeting
-
-classify = light_beam.classify
-"""Where a pair may contribute: the zeros of g."""
-
-needs_fine = True
-"""Whether light beams must be so small that few samples of the light on them do."""
+from .protocol import Estimator
 
 
 @dataclass
@@ -46,23 +42,32 @@ class _End:
     path: object
 
     def gather(self, index):
-        return _End(*(lanes.gather(x, index) for x in vars(self).values()))
+        return _End(*(arrays.gather(x, index) for x in vars(self).values()))
 
 
-def accumulate(sums, pairs, segments, culling, lighting, accuracy):
-    """Adds what the light beams of ``pairs`` bring to their segments to ``sums``; nothing is left over."""
-    curve = _Curves(pairs, segments, culling, lighting)
-    start, end = curve.end(curve.start), curve.end(curve.stop)
-    turns = curve.exists & (start.slope * end.slope < 0)
-    dr.eval(start, end, turns, curve.exists)
-    folded = dr.compress(turns)
-    _sample(sums, pairs, start, end, curve.exists & ~turns, segments, culling, lighting, accuracy)
-    if dr.width(folded) > 0:
-        pairs, start, end = pairs.gather(folded), start.gather(folded), end.gather(folded)
-        fold = _Curves(pairs, segments, culling, lighting).fold(start, end)
-        dr.eval(fold)
-        for a, b in ((start, fold), (fold, end)):
-            _sample(sums, pairs, a, b, mi.Bool(True), segments, culling, lighting, accuracy)
+class Interval(Estimator):
+    """Regular samples of the parts of segments that triangles light (Holzschuch 2015)."""
+
+    samples_field = "interval_samples"
+
+    def classify(self, piece, segment):
+        """The zeros of g."""
+        return light_beam.classify(piece, segment)
+
+    def accumulate(self, sums, pairs, segments, culling, illumination, accuracy):
+        """As ``Estimator.accumulate``; nothing is left over."""
+        curve = _Curves(pairs, segments, culling, illumination)
+        start, end = curve.end(curve.start), curve.end(curve.stop)
+        turns = curve.exists & (start.slope * end.slope < 0)
+        dr.eval(start, end, turns, curve.exists)
+        folded = dr.compress(turns)
+        _sample(sums, pairs, start, end, curve.exists & ~turns, segments, culling, illumination, accuracy)
+        if dr.width(folded) > 0:
+            pairs, start, end = pairs.gather(folded), start.gather(folded), end.gather(folded)
+            fold = _Curves(pairs, segments, culling, illumination).fold(start, end)
+            dr.eval(fold)
+            for a, b in ((start, fold), (fold, end)):
+                _sample(sums, pairs, a, b, mi.Bool(True), segments, culling, illumination, accuracy)
 
 
 class _Curves:
@@ -70,11 +75,11 @@ class _Curves:
     the chord (``chord.Chord``); those for tau = 0 and 1 run along edges. ``start``, ``stop``: the part of it that is lit
     and whose light is not reflected totally."""
 
-    def __init__(self, pairs, segments, culling, lighting):
-        self.segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
-        taken = culling.take(pairs, lighting.light)
-        self.tri, self.lighting = taken.tri, lighting
-        self.chord, limits = chord_of(taken.piece, self.tri, lighting, self.segment)
+    def __init__(self, pairs, segments, culling, illumination):
+        self.segment, illumination = segments.gather(pairs.segment), illumination.at(pairs.segment)
+        taken = culling.take(pairs, illumination)
+        self.tri, self.illumination = taken.tri, illumination
+        self.chord, limits = chord_of(taken.piece, self.tri, illumination, self.segment)
         # Of the limits those of the segment's own ends are taken later, exactly.
         self.start, self.stop = positive_part(limits[3:])
         self.exists = self.chord.active & (self.start < self.stop)
@@ -84,7 +89,7 @@ class _Curves:
         """The curve's point at tau: Newton's method for t and the position on the ray from M."""
         D, segment = self.chord.direction(tau), self.segment
         uv = self.chord.M + D
-        P, omega, _ = light_beam.refracted(self.tri, uv.x, uv.y, self.lighting.light)
+        P, omega, _ = light_beam.refracted(self.tri, uv.x, uv.y, self.illumination)
         t, _ = meeting(P, omega, segment)
         # t in units of what it changes by per unit of the ray, roughly: as much as P moves.
         unit = dr.norm(self.tri.P_u * D.x + self.tri.P_v * D.y)
@@ -92,7 +97,7 @@ class _Curves:
         def system(x, lam):
             uv = self.chord.M + lam * D
             V = segment.o + (t + x * unit) * segment.d
-            c = self._connect(V, uv).residual(self.lighting.straight)
+            c = self._connect(V, uv).residual(self.illumination.straight)
             return c.value, c.by_t * unit, c.by_u * D.x + c.by_v * D.y
 
         solution = newton.solve(
@@ -104,13 +109,13 @@ class _Curves:
         x, lam = (dr.select(solution.converged, a, b) for a, b in zip(solution.x, (0, 1)))
         uv, t = self.chord.M + lam * D, t + x * unit
         path = self._connect(segment.o + t * segment.d, uv)
-        tangent = path.residual(self.lighting.straight).tangent()
+        tangent = path.residual(self.illumination.straight).tangent()
         forward = tangent.y * self.along.x + tangent.z * self.along.y
         slope = tangent.x * dr.squared_norm(self.along) / dr.select(forward == 0, 1, forward)
         return _End(uv, t, slope, t + path.s)
 
     def _connect(self, V, uv):
-        return connect(self.tri, self.lighting.light, V, self.segment.d, uv.x, uv.y)
+        return connect(self.tri, self.illumination, V, self.segment.d, uv.x, uv.y)
 
     def fold(self, start, end):
         """Where t turns back between two points at which its slopes differ in sign: regula falsi for the slope."""
@@ -157,10 +162,10 @@ def _range(a, b, t_max):
     return _Range(a.t, change, r, dr.minimum(x0, x1), dr.maximum(x0, x1))
 
 
-def _sample(sums, pairs, a, b, exists, segments, culling, lighting, accuracy):
+def _sample(sums, pairs, a, b, exists, segments, culling, illumination, accuracy):
     """Adds the intervals between the points ``a`` and ``b`` of the curves of pairs, by regular samples."""
-    segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
-    taken, sigma_t = culling.take(pairs, lighting.light), segments.sigma_t_of(pairs.segment)
+    segment, illumination = segments.gather(pairs.segment), illumination.at(pairs.segment)
+    taken, sigma_t = culling.take(pairs, illumination), segments.sigma_t_of(pairs.segment)
     piece, n = taken.piece, dr.opaque(mi.UInt32, accuracy.interval_samples)
     span = _range(a, b, segment.t_max)
     if accuracy.adapts:
@@ -175,17 +180,17 @@ def _sample(sums, pairs, a, b, exists, segments, culling, lighting, accuracy):
         t = span.t(x)
         start = (a.uv + x * along - mi.Point2f(piece.u0, piece.v0)) / piece.h
         V = segment.o + t * segment.d
-        solution = point_form.root(taken, lighting, V, segment.d, start, tolerances.OUTSIDE, exists)
+        solution = point_form.root(taken, illumination, V, segment.d, start, tolerances.OUTSIDE, exists)
         u, v = piece.u0 + piece.h * solution.x[0], piece.v0 + piece.h * solution.x[1]
-        path = connect(taken.tri, lighting.light, V, segment.d, u, v)
+        path = connect(taken.tri, illumination, V, segment.d, u, v)
         # The other side of a fold has a root at the same t.
-        tangent = path.residual(lighting.straight).tangent()
+        tangent = path.residual(illumination.straight).tangent()
         same_side = tangent.x * (tangent.y * along.x + tangent.z * along.y) * forward > 0
         active = exists & solution.converged & same_side
         found += dr.select(active, 1, 0)
         active &= point_form.refracts(path, taken.tri)
-        active = lighting.visible(path.P, taken.tri.Ng, path.omega_V, u, v, path.s, taken, active)
-        value = point_form.in_scattered(path, taken.tri, segment.d, lighting, sigma_t)
+        active = illumination.visible(path.P, taken.tri.Ng, path.omega_V, u, v, path.s, taken, active)
+        value = point_form.in_scattered(path, taken.tri, segment.d, illumination, sigma_t)
         value *= dr.exp(-sigma_t * t) * span.dt(x) * step
         active &= dr.all(dr.isfinite(value))
         return i + 1, total + dr.select(active, value, 0), contributes | active, found

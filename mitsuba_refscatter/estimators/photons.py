@@ -18,7 +18,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes, optics, tolerances
+from .. import optics, tolerances
+from ..core import arrays
 from ..geometry import bvh, triangle
 
 RECORD = 12
@@ -54,18 +55,18 @@ class Target:
 def aim(body, records, pilots, exact):
     """The ``Target`` that a boundary is to a light; None if it lights none of it.
 
-    ``pilots``: list of ``(Lighting, intensity)`` of one light point each; ``exact``: whether the one of them is all of the
+    ``pilots``: list of ``(Illumination, intensity)`` of one light point each; ``exact``: whether the one of them is all of the
     light. Triangles on which they find nothing get some photons all the same where it is not, or where it does
     not send the same into all directions.
     """
     index = dr.opaque(mi.UInt32, body.first_record) + dr.arange(mi.UInt32, body.triangle_count)
     tri = triangle.gather(records, index)
     area, weight = dr.norm(dr.cross(tri.P_u, tri.P_v)), dr.zeros(mi.Float, body.triangle_count)
-    for lighting, intensity in pilots:
+    for illumination, intensity in pilots:
         for u, v in ((1 / 3, 1 / 3), (0, 0), (1, 0), (0, 1)):
             P = tri.position(mi.Float(u), mi.Float(v))
-            omega_L, d_L = lighting.light.seen_from(P)
-            arriving = dr.max(mi.Spectrum(intensity * lighting.emitted(P, omega_L, d_L))) / dr.square(d_L)
+            omega_L, d_L = illumination.light.seen_from(P)
+            arriving = dr.max(mi.Spectrum(intensity * illumination.emitted(P, omega_L, d_L))) / dr.square(d_L)
             found = area * dr.maximum(dr.dot(omega_L, tri.Ng), 0) * arriving
             weight += dr.select(dr.isfinite(found), found, 0)
         dr.eval(weight)
@@ -90,19 +91,19 @@ class Photons:
         return Photons(*(dr.gather(type(x), x, index) for x in vars(self).values()))
 
 
-def shoot(target, count, lighting, intensity, sampler):
-    """``Photons`` of a light, those that come in, of ``count`` that are sent; None if there are none. ``lighting``: its one
+def shoot(target, count, illumination, intensity, sampler):
+    """``Photons`` of a light, those that come in, of ``count`` that are sent; None if there are none. ``illumination``: its one
     light point or one for each photon, ``intensity`` (Spectrum): their intensities; ``sampler``: of ``count`` lanes."""
     lane, n = dr.arange(mi.UInt32, count), dr.opaque(mi.Float, count)
     tri, p = target.choose((mi.Float(lane) + sampler.next_1d()) / n)
     uv = mi.warp.square_to_uniform_triangle(sampler.next_2d())
-    P, light = tri.position(uv.x, uv.y), lighting.light
+    P, light = tri.position(uv.x, uv.y), illumination.light
     omega_L, d_L = light.seen_from(P)
-    omega, c_L, c_V = optics.refract_in(omega_L, tri.normal(uv.x, uv.y), light.eta)
+    omega, c_L, c_V = optics.refract_in(omega_L, tri.normal(uv.x, uv.y), illumination.eta)
     comes = (c_L > 0) & (c_V > 0) & (dr.dot(omega_L, tri.Ng) > 0) & (dr.dot(omega, tri.Ng) < 0)
-    if lighting.lit is not None:
-        comes &= lighting.lit(P, tri.Ng, light.L, comes)
-    flux = intensity * lighting.emitted(P, omega_L, d_L) * optics.transmission(c_L, c_V, light.eta)
+    if illumination.lit is not None:
+        comes &= illumination.lit(P, tri.Ng, light.L, comes)
+    flux = intensity * illumination.emitted(P, omega_L, d_L) * optics.transmission(c_L, c_V, illumination.eta)
     flux *= dr.norm(dr.cross(tri.P_u, tri.P_v)) * dr.abs(dr.dot(omega, tri.Ng)) / (2 * p * n * dr.square(d_L))
     flux = mi.Spectrum(flux)
     kept = dr.compress(comes & (dr.max(flux) > 0))
@@ -169,7 +170,7 @@ def store(photons, lengths, sigma_t, beams, radius, body, sampler):
     P, omega, flux, start, end = photons.P, photons.omega, photons.flux, mi.Float(0), lengths
     if beams:
         step = body.size / tolerances.BEAM_PARTS
-        parent, number = lanes.repeat(np.maximum(1, np.ceil(lengths.numpy() / step)).astype(np.int64))
+        parent, number = arrays.repeat(np.maximum(1, np.ceil(lengths.numpy() / step)).astype(np.int64))
         P, omega, flux, end = (dr.gather(type(x), x, parent) for x in (P, omega, flux, end))
         start = mi.Float(number) * dr.opaque(mi.Float, step)
         end = dr.minimum(end, start + dr.opaque(mi.Float, step))
@@ -185,7 +186,7 @@ def store(photons, lengths, sigma_t, beams, radius, body, sampler):
     count = dr.width(P)
     dr.eval(P, omega, flux, start, end)
     middle = P if not beams else P + 0.5 * (start + end) * omega
-    order = lanes.array(mi.UInt32, bvh.morton_order(middle.numpy().T))
+    order = arrays.array(mi.UInt32, bvh.morton_order(middle.numpy().T))
     numbers = [*P, *omega, start, end, *flux]
     numbers = [dr.gather(mi.Float, x + dr.zeros(mi.Float, count), order) for x in numbers]
     records = dr.empty(mi.Float, count * RECORD)
@@ -214,4 +215,4 @@ def _merge(a, b):
 
 def join(parts):
     """Several ``Photons`` as one."""
-    return Photons(*(lanes.concat(x) for x in zip(*(vars(part).values() for part in parts))))
+    return Photons(*(arrays.concat(x) for x in zip(*(vars(part).values() for part in parts))))

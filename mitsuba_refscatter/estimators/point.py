@@ -23,13 +23,11 @@ from ..culling import beam as light_beam
 from ..solve import newton
 from ..solve.constraint import connect
 from . import point_form
+from .protocol import Estimator, Query
 from .spacing import ByAngle, ByDepth
 
-needs_fine = False
-"""Whether light beams must be small: each root is exact."""
 
-
-def queries(segments, lighting, first, several, n, seed):
+def sample_points(segments, illumination, first, several, n, seed):
     """Of ``n`` sample points of each segment the ones from ``first`` on, ``several`` per segment.
 
     Returns the indices of their segments, segments of no length at these points, and their weights: 1 / density, and
@@ -40,17 +38,53 @@ def queries(segments, lighting, first, several, n, seed):
     segment = segments.gather(index)
     x = (mi.Float(k) + mi.sample_tea_float32(k * count + index, dr.opaque(mi.UInt32, seed))) / dr.opaque(mi.Float, n)
     sigma_t = segments.sigma_t_of(index)
-    if lighting.light.distant:
+    if illumination.light.distant:
         spacing = ByDepth(dr.mean(sigma_t), segment.t_max)
     else:
-        spacing = ByAngle(lighting.at(index).light.L - segment.o, segment)
+        spacing = ByAngle(illumination.at(index).light.L - segment.o, segment)
     t = spacing.t(x)
     weight = dr.rcp(spacing.density(t) * dr.opaque(mi.Float, n))
     points = replace(segment, o=segment.o + t * segment.d, t_max=dr.zeros(mi.Float, dr.width(t)), sigma_t=sigma_t)
     return index, points, weight * dr.exp(-sigma_t * t)
 
 
-def classify(piece, segment):
+class Point(Estimator):
+    """Roots of the constraint at sample points of the segments (Walter et al. 2009)."""
+
+    needs_fine = False  # each root is exact
+    samples_field = "point_samples"
+    draws = finds_sent_back = True
+
+    def queries(self, segments, illumination, accuracy, seed):
+        """As ``Estimator.queries``: ``accuracy.point_samples`` points of each segment."""
+        n = accuracy.point_samples
+        at_once = max(1, min(n, tolerances.PASS_SAMPLES // len(segments)))
+        for first in range(0, n, at_once):
+            several = min(at_once, n - first)
+            index, points, weight = sample_points(segments, illumination, first, several, n, seed)
+            dr.eval(index, points.o, weight)
+            yield Query(index, points, weight, (first / n, (first + several) / n))
+
+    def classify(self, piece, segment):
+        """The zeros of the moment (``zeros_of_moment``)."""
+        return zeros_of_moment(piece, segment)
+
+    def accumulate(self, sums, pairs, segments, culling, illumination, _accuracy):
+        """As ``Estimator.accumulate``, for sample points; nothing is left over."""
+        segment, illumination = segments.gather(pairs.segment), illumination.at(pairs.segment)
+        taken = culling.take(pairs, illumination)
+        tri, piece = taken.tri, taken.piece
+        solution, path, active = roots(taken, segment, illumination)
+        u, v = (x0 + piece.h * x for x0, x in zip((piece.u0, piece.v0), solution.x))
+        active = illumination.visible(path.P, tri.Ng, path.omega_V, u, v, path.s, taken, active)
+        value = point_form.in_scattered(path, tri, segment.d, illumination, segments.sigma_t_of(pairs.segment))
+        finite = dr.all(dr.isfinite(value))
+        failed = (solution.status == int(newton.Status.OUT_OF_ITERATIONS)) | (active & ~finite)
+        sums.add(pairs, dr.select(active & finite, value, 0), active, ~failed)
+        sums.eval()
+
+
+def zeros_of_moment(piece, segment):
     """``beam.Zeros`` of the moment m = (V - P) x omega, which is zero at the roots for V.
 
     m is taken as its two components across the mean direction of the light; ``g`` are the barycentric coordinates of
@@ -82,41 +116,26 @@ def classify(piece, segment):
     return light_beam.Zeros(possible, possible, [*areas, area], nonlinearity)
 
 
-def roots(taken, segment, lighting):
+def roots(taken, segment, illumination):
     """The root of each light beam for V = the segment's origin: ``(solution, path, valid)``, at most one.
 
     ``path``: the ``Connection`` at the root; ``valid``: whether there is one, inside the beam's own triangle.
     """
-    zeros = classify(taken.piece, segment)
+    zeros = zeros_of_moment(taken.piece, segment)
     area = dr.select(zeros.g[3] == 0, 1, zeros.g[3])
     start = mi.Vector2f(dr.clip(zeros.g[1] / area, 0, 1), dr.clip(zeros.g[2] / area, 0, 1))
     start /= dr.maximum(1, start.x + start.y)
-    solution = point_form.root(taken, lighting, segment.o, segment.d, start, tolerances.OUTSIDE)
+    solution = point_form.root(taken, illumination, segment.o, segment.d, start, tolerances.OUTSIDE)
     piece, tri, (a, b) = taken.piece, taken.tri, solution.x
     if taken.parts:
-        a, b = point_form.in_double(taken, lighting, segment.o, segment.d, solution.x)
+        a, b = point_form.in_double(taken, illumination, segment.o, segment.d, solution.x)
     # A root on the edge between two parts of a triangle belongs to one of them: the middle ones (h < 0) are open
     # where the others are closed.
     inside = dr.select(piece.h > 0, (a >= 0) & (b >= 0) & (a + b < 1), (a > 0) & (b > 0) & (a + b <= 1))
     solution.x = mi.Float(a), mi.Float(b)
     u, v = piece.u0 + piece.h * solution.x[0], piece.v0 + piece.h * solution.x[1]
-    path = connect(tri, lighting.light, segment.o, segment.d, u, v)
+    path = connect(tri, illumination, segment.o, segment.d, u, v)
     return solution, path, solution.converged & inside & point_form.refracts(path, tri)
-
-
-def accumulate(sums, pairs, segments, culling, lighting, _accuracy):
-    """Adds what the light beams of ``pairs`` bring to their sample points; nothing is left over."""
-    segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
-    taken = culling.take(pairs, lighting.light)
-    tri, piece = taken.tri, taken.piece
-    solution, path, active = roots(taken, segment, lighting)
-    u, v = (x0 + piece.h * x for x0, x in zip((piece.u0, piece.v0), solution.x))
-    active = lighting.visible(path.P, tri.Ng, path.omega_V, u, v, path.s, taken, active)
-    value = point_form.in_scattered(path, tri, segment.d, lighting, segments.sigma_t_of(pairs.segment))
-    finite = dr.all(dr.isfinite(value))
-    failed = (solution.status == int(newton.Status.OUT_OF_ITERATIONS)) | (active & ~finite)
-    sums.add(pairs, dr.select(active & finite, value, 0), active, ~failed)
-    sums.eval()
 
 
 def _cross(a, b):

@@ -21,19 +21,19 @@ NEWTON = newton.Limits(
 )  # fmt: skip
 
 
-def _system(tri, piece, lighting, V, d):
+def _system(tri, piece, illumination, V, d):
     """The constraint at fixed V as a function of the place in a piece, whose corners are (0, 0), (1, 0), (0, 1)."""
     length = fold(dr.maximum, [dr.norm(V - P) for P in piece.P])
 
     def system(a, b):
-        path = connect(tri, lighting.light, V, d, piece.u0 + piece.h * a, piece.v0 + piece.h * b)
-        c = path.residual(lighting.straight, length)
+        path = connect(tri, illumination, V, d, piece.u0 + piece.h * a, piece.v0 + piece.h * b)
+        c = path.residual(illumination.straight, length)
         return c.value, c.by_u * piece.h, c.by_v * piece.h
 
     return system
 
 
-def root(taken, lighting, V, d, start, margin, active=True):
+def root(taken, illumination, V, d, start, margin, active=True):
     """Newton's method for P at fixed V, from ``start`` (Vector2f, place in the piece).
 
     Roots farther than ``margin`` outside the piece are not taken. Returns the ``newton.Solution``; its unknowns are
@@ -43,16 +43,16 @@ def root(taken, lighting, V, d, start, margin, active=True):
     def domain(a, b):
         return (a >= -margin) & (b >= -margin) & (a + b <= 1 + margin)
 
-    system = _system(taken.tri, taken.piece, lighting, V, d)
+    system = _system(taken.tri, taken.piece, illumination, V, d)
     return newton.solve(system, (start.x, start.y), domain, NEWTON, active)
 
 
-def in_double(taken, lighting, V, d, x):
+def in_double(taken, illumination, V, d, x):
     """The place ``x`` of a root, improved in double precision: next to a fold it is then known well enough to say in
     which of two neighbouring pieces the root lies."""
     tri, piece = (type(y)(**{k: _double(v) for k, v in vars(y).items()}) for y in (taken.tri, taken.piece))
-    light = replace(lighting.light, L=_double(lighting.light.L), eta=_double(lighting.light.eta))
-    exact = replace(lighting, light=light)
+    light = replace(illumination.light, L=_double(illumination.light.L))
+    exact = replace(illumination, light=light, eta=_double(illumination.eta))
     system = _system(tri, piece, exact, _double(V), _double(d))
     return newton.improve(system, tuple(_double(y) for y in x), tolerances.DOUBLE_STEPS, tolerances.ROOT_LONGEST)
 
@@ -69,9 +69,13 @@ def refracts(path, tri):
     return lit & (dr.dot(path.omega_V, path.n) < 0) & (path.s > 0)
 
 
-def in_scattered(path, tri, d, lighting, sigma_t):
+def in_scattered(path, tri, d, illumination, sigma_t):
     """The term of one root without sigma_s, I, visibility and attenuation along the camera ray."""
-    F, _ = optics.fresnel(dr.dot(path.omega_L, path.n), lighting.eta)
-    value = (1 - F) * dr.square(lighting.eta) / path.distance_correction(tri)
-    value *= lighting.emitted(path.P, path.omega_L, path.d_L)
-    return value * lighting.phase(path.omega_V, d) * dr.exp(-lighting.extinction(sigma_t, path.omega_V, d) * path.s)
+    F, _ = optics.fresnel(dr.dot(path.omega_L, path.n), illumination.eta)
+    value = (1 - F) * dr.square(illumination.eta) / path.distance_correction(tri)
+    value *= illumination.emitted(path.P, path.omega_L, path.d_L)
+    return (
+        value
+        * illumination.phase(path.omega_V, d)
+        * dr.exp(-illumination.extinction(sigma_t, path.omega_V, d) * path.s)
+    )

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from .. import lanes, tolerances
+from .. import tolerances
+from ..core import arrays
 from ..culling import beam as light_beam
 from ..solve.constraint import connect
 from . import curve, point_form
 from .chord import chord_of, limits_at, meeting
+from .protocol import Estimator
 
 
 @dataclass
@@ -37,22 +39,23 @@ class Cells:
     solved: object
 
     def gather(self, index):
-        return Cells(*([lanes.gather(y, index) for y in x] if isinstance(x, list) else lanes.gather(x, index)
+        return Cells(*([arrays.gather(y, index) for y in x] if isinstance(x, list) else arrays.gather(x, index)
                        for x in vars(self).values()))  # fmt: skip
 
 
-class Profile:
+class Profile(Estimator):
     """Collects the ``Cells`` of the one camera segment that is swept, ``parts`` of the curve in each light beam; in ``found``, a list."""
-
-    classify = staticmethod(light_beam.classify)
-    needs_fine = True
 
     def __init__(self, parts):
         self.parts, self.found = parts, []
 
-    def accumulate(self, _sums, pairs, segments, culling, lighting, accuracy):
+    def classify(self, piece, segment):
+        """The zeros of g."""
+        return light_beam.classify(piece, segment)
+
+    def accumulate(self, _sums, pairs, segments, culling, illumination, accuracy):
         """Keeps the cells of pairs; nothing is added to the sums, nothing is left over."""
-        cells, exists = _cells(pairs.cut(self.parts), segments, culling, lighting, accuracy)
+        cells, exists = _cells(pairs.cut(self.parts), segments, culling, illumination, accuracy)
         dr.eval(cells, exists)
         kept = dr.compress(exists)
         if dr.width(kept) > 0:
@@ -61,44 +64,46 @@ class Profile:
             self.found.append(cells)
 
 
-def _cells(pairs, segments, culling, lighting, accuracy):
+def _cells(pairs, segments, culling, illumination, accuracy):
     """``Cells`` of pairs that are parts of curves, and which of them light reaches."""
-    segment, lighting = segments.gather(pairs.segment), lighting.at(pairs.segment)
-    taken, sigma_t = culling.take(pairs, lighting.light), segments.sigma_t_of(pairs.segment)
+    segment, illumination = segments.gather(pairs.segment), illumination.at(pairs.segment)
+    taken, sigma_t = culling.take(pairs, illumination), segments.sigma_t_of(pairs.segment)
     tri = taken.tri
-    chord, ends = chord_of(taken.piece, tri, lighting, segment)
-    part = curve.lit_part(pairs, chord, ends, tri, lighting, segment, accuracy.newton)
+    chord, ends = chord_of(taken.piece, tri, illumination, segment)
+    part = curve.lit_part(pairs, chord, ends, tri, illumination, segment, accuracy.newton)
     width = part.end - part.start
     cells = Cells(culling.triangle_of(pairs), [], [], [], [], mi.Spectrum(0), mi.Bool(True))
     exists = chord.active & (width > 0)
     for share in (0, 0.5, 1):
-        found = curve.solve(chord, chord.direction(part.start + share * width), tri, lighting, segment, accuracy.newton)
+        found = curve.solve(
+            chord, chord.direction(part.start + share * width), tri, illumination, segment, accuracy.newton
+        )
         point, inverse_slope, solved = found
         t, s = meeting(point.P, point.omega, segment)
-        density, slope = _density(point, t, s, chord, tri, lighting, segment, sigma_t)
+        density, slope = _density(point, t, s, chord, tri, illumination, segment, sigma_t)
         for values, value in zip((cells.t, cells.P, cells.density, cells.slope), (t, point.P, density, slope)):
             values.append(value)
         if share == 0.5:
-            for limit in limits_at(point, t, s, tri, segment, lighting):
+            for limit in limits_at(point, t, s, tri, segment, illumination):
                 exists &= limit > 0
-            exists = lighting.visible(point.P, tri.Ng, point.omega, point.u, point.v, s, taken, exists)
-            total = chord.scale * width * inverse_slope * curve.integrand(point, lighting, segment)
-            total *= dr.exp(-sigma_t * t - lighting.extinction(sigma_t, point.omega, segment.d) * s)
+            exists = illumination.visible(point.P, tri.Ng, point.omega, point.u, point.v, s, taken, exists)
+            total = chord.scale * width * inverse_slope * curve.integrand(point, illumination, segment)
+            total *= dr.exp(-sigma_t * t - illumination.extinction(sigma_t, point.omega, segment.d) * s)
             cells.total, cells.solved = total, solved
             exists &= dr.all(dr.isfinite(total))
     return cells, exists
 
 
-def _density(point, t, s, chord, tri, lighting, segment, sigma_t):
+def _density(point, t, s, chord, tri, illumination, segment, sigma_t):
     """The point form at a point of the curve, and the sign of dt along it in the direction of the chord.
 
     Where the segment meets the boundary, next to P, V is moved on along the light, as its direction from P would be rounding.
     """
     nearest = tolerances.APART * dr.maximum(dr.norm(point.P), segment.t_max)
     V = dr.select(s > nearest, segment.o + t * segment.d, point.P + nearest * point.omega)
-    path = connect(tri, lighting.light, V, segment.d, point.u, point.v)
-    value = point_form.in_scattered(path, tri, segment.d, lighting, sigma_t) * dr.exp(-sigma_t * t)
-    tangent, along = path.residual(lighting.straight).tangent(), chord.to_E2 - chord.to_E1
+    path = connect(tri, illumination, V, segment.d, point.u, point.v)
+    value = point_form.in_scattered(path, tri, segment.d, illumination, sigma_t) * dr.exp(-sigma_t * t)
+    tangent, along = path.residual(illumination.straight).tangent(), chord.to_E2 - chord.to_E1
     return value, dr.sign(tangent.x * (tangent.y * along.x + tangent.z * along.y))
 
 

@@ -13,7 +13,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes, tolerances
+from .. import tolerances
+from ..core import arrays
 from .interval import positive_part
 
 
@@ -107,7 +108,7 @@ def covered(corners, normal, edges, skin, direction):
     """Whether any edge is in front of triangles: lanes of three ``corners`` (Vector3f), the facet's ``normal``; edges
     (E, 2, 3), all relative to the light, or to any place if it is distant in ``direction`` (None if it is not). Edges within
     ``skin`` of a triangle's plane do not count."""
-    flat, count = lanes.array(mi.Float, np.ravel(edges)), dr.opaque(mi.UInt32, len(edges))
+    flat, count = arrays.array(mi.Float, np.ravel(edges)), dr.opaque(mi.UInt32, len(edges))
     skin = dr.opaque(mi.Float, skin)
     sides = []
     for k in range(3):

@@ -3,7 +3,7 @@
 import drjit as dr
 import mitsuba as mi
 
-from .. import lanes
+from ..core import arrays
 from . import bvh, triangle
 
 
@@ -17,7 +17,7 @@ class Surface:
     def __init__(self, records, first_record, corners, normals, pack, width):
         order = bvh.median_order(corners.mean(axis=1)) + first_record
         self.records, self.count = records, len(order)
-        self.order = lanes.array(mi.UInt32, order)
+        self.order = arrays.array(mi.UInt32, order)
         depth = bvh.depth_for(self.count)
         self.tree = bvh.fold(self._leaves(depth, normals), depth, _merge, pack, width)
 

@@ -1,14 +1,20 @@
 """The Mitsuba plugin ``refscatter_photons``. Reloaded by ``plugin.py`` for every variant."""
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes, options, tolerances, wavefront
-from ..estimators import photons
+from .. import options, tolerances
+from ..core import arrays
+from ..estimators import photons, wavefront
+from ..light import light_samples
 from ..scene import media
-from .lit import Prepared, scatter
-from .refscatter import RefscatterIntegrator, seed_from
+from . import single_scattering
+from .prepared import prepare
+from .refscatter import RefscatterIntegrator
+from .surfaces import seed_from
 
 
 class PhotonIntegrator(RefscatterIntegrator):
@@ -46,7 +52,7 @@ class PhotonIntegrator(RefscatterIntegrator):
         'type': 'refscatter_photons', 'mode': 'beams', 'photons': 20000, 'alpha': 0.7
     """
 
-    known = options.PhotonOptions
+    known, refracts = options.PhotonOptions, False
 
     def __init__(self, props):
         super().__init__(props)
@@ -54,12 +60,13 @@ class PhotonIntegrator(RefscatterIntegrator):
             raise options.OptionError("refscatter_photons: photons have no wavelengths in common with camera rays: use an "
                                       "rgb or mono variant")  # fmt: skip
 
-    def prepare(self, scene, seed):
+    def prepare(self, scene, seed, changes=None):
         common = {name: getattr(self.options, name) for name in vars(options.Common())}
-        return Prepared(scene, options.Options(**common), seed, self.kept)
+        return prepare(scene, options.Options(**common), self.cache, seed, changes=changes)
 
-    def scatter(self, prepared, paths, ray, n, batch, sampler, detail, _progress):
-        single = scatter(prepared, paths, ray, n, batch, 0, detail, None, refracted=False)
+    def scatter(self, prepared, paths, samples, counts, sampler):
+        batch, samples = samples.batch, replace(samples, progress=None)
+        single = single_scattering.scatter(prepared, paths, samples, counts, refracted=False)
         rng = np.random.default_rng(seed_from(sampler))
         number = batch.first // batch.per_pixel  # of the pass
         for region in prepared.scene.regions:
@@ -78,44 +85,48 @@ class PhotonIntegrator(RefscatterIntegrator):
 
     def _cloud(self, prepared, region, body, number, rng):
         """``photons.Cloud`` of all lights behind a boundary in pass ``number``; None if it is not lit."""
-        opt, lights, shot = self.options, prepared.scene.lights, []
+        opt, lights, shot = self.options, prepared.scene.emitters, []
         targets = [prepared.once(lambda: _target(prepared, region, body, light), "target", body.index, body.key, light.index)
                    for light in lights]  # fmt: skip
         total = sum(target.flux for target in targets if target is not None)
         for light, target in zip(lights, targets):
             count = 0 if target is None else max(1, round(opt.photons * target.flux / total))
-            found = _shoot(prepared, region, body, light, target, count, rng) if count > 0 else None
+            found = _shoot(prepared, region, body, light, (target, count, rng)) if count > 0 else None
             if found is not None:
                 shot.append(found)
         if not shot:
             return None
-        found, lengths = photons.join([x[0] for x in shot]), lanes.concat([x[1] for x in shot])
+        found, lengths = photons.join([x[0] for x in shot]), arrays.concat([x[1] for x in shot])
         sigma_t = region.coefficients(media.visible(), found.omega)[1]
         radius = photons.radius_of(opt.radius or tolerances.PHOTON_RADIUS * body.size, number, opt.alpha, opt.mode)
         return photons.store(found, lengths, sigma_t, opt.mode == "beams", radius, body, _sampler(len(lengths), rng))
 
 
-def _target(prepared, region, body, light):
+def _target(prepared, region, body, emitter):
     """``photons.Target`` that a boundary is to a light."""
-    rng, points = np.random.default_rng(0), [light.exact]
-    if light.exact is None:
-        points = [light.draw(dr.opaque(mi.Point2f, list(rng.random(2))), 1.0) for _ in range(tolerances.PHOTON_PILOTS)]
+    if emitter.drawn:
+        rng = np.random.default_rng(0)
+        numbers = [dr.opaque(mi.Point2f, list(rng.random(2))) for _ in range(tolerances.PHOTON_PILOTS)]
+        points = [light_samples.draw(emitter, u, 1.0) for u in numbers]
+    else:
+        points = [light_samples.exact(emitter)]
     shadows = prepared.shadows(body, points[0])
     pilots = [
-        (prepared.lighting(body, region, p, shadows, media.visible()), p.intensity(media.visible())) for p in points
+        (prepared.illumination(body, region, p, shadows, media.visible()), p.intensity(media.visible())) for p in points
     ]
-    return photons.aim(body, prepared.scene.records, pilots, light.exact is not None)
+    return photons.aim(body, prepared.scene.records, pilots, not emitter.drawn)
 
 
-def _shoot(prepared, region, body, light, target, count, rng):
-    """Photons of a light and how far they go in a body; None if none comes in."""
-    sampler, point = _sampler(count, rng), light.exact
-    if point is None:
-        point = light.draw(sampler.next_2d(), 1.0)
+def _shoot(prepared, region, body, emitter, shot):
+    """Photons of an emitter and how far they go in a body; None if none comes in. ``shot``: their ``photons.Target``, their number, and where
+    random numbers come from."""
+    target, count, rng = shot
+    sampler = _sampler(count, rng)
+    point = light_samples.draw(emitter, sampler.next_2d(), 1.0) if emitter.drawn else light_samples.exact(emitter)
     shadows = prepared.shadows(body, point)
-    lighting = prepared.lighting(body, region, point, shadows, media.visible())
+    illumination = prepared.illumination(body, region, point, shadows, media.visible())
     tint = body.tint("specular_transmittance", media.visible())
-    found = photons.shoot(target, count, lighting, point.intensity(media.visible()) * tint, sampler)
+    found = photons.shoot(target, count, illumination, point.intensity(media.visible()) * tint, sampler)
     return None if found is None else (found, shadows.reach(found.P, found.Ng, found.omega, region.reach))
 
 

@@ -1,7 +1,8 @@
 """The Mitsuba plugin ``refscatter_straight``. Reloaded by ``plugin.py`` for every variant."""
 
 from .. import options
-from .lit import Prepared, scatter
+from . import single_scattering
+from .prepared import prepare
 from .refscatter import RefscatterIntegrator
 
 
@@ -21,11 +22,11 @@ class StraightIntegrator(RefscatterIntegrator):
         'type': 'refscatter_straight', 'surfaces': False
     """
 
-    known = options.Common
+    known, refracts = options.Common, False
     missing_in_media = staticmethod(lambda scene: [])  # what it leaves out is what it is for
 
-    def prepare(self, scene, seed):
-        return Prepared(scene, options.Options(**vars(self.options)), seed, self.kept, straight=True)
+    def prepare(self, scene, seed, changes=None):
+        return prepare(scene, options.Options(**vars(self.options)), self.cache, seed, straight=True, changes=changes)
 
-    def scatter(self, prepared, paths, ray, n, batch, _sampler, detail, progress):
-        return scatter(prepared, paths, ray, n, batch, 0, detail, progress, refracted=False)
+    def scatter(self, prepared, paths, samples, counts, _sampler):
+        return single_scattering.scatter(prepared, paths, samples, counts, refracted=False)

@@ -9,7 +9,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes, tolerances
+from .. import tolerances
+from ..core import arrays
 from ..scene import NONE, media
 from .emission import offset, photons, points
 from .walk import FURTHER, INSIDE, REFLECTED, REFRACTED, SURFACES, Tables, follow, look, meet
@@ -35,7 +36,7 @@ ON_SURFACES = ("{share} of the light on the surfaces that are seen is wrong: {re
 def in_media(scene):
     """Sentences about the light that is missing in the media of a ``scene.Scene``."""
     regions = [region for region in scene.regions if region.scatters]
-    if silent or not regions or not scene.lights:
+    if silent or not regions or not scene.emitters:
         return []
     left, by_shape = follow(scene, photons(scene))
     names, out = scene.names(), []
@@ -51,29 +52,29 @@ def in_media(scene):
 
 def on_surfaces(scene, ends):
     """Sentences about what media do to light on the surfaces where camera rays end. ``ends``: a list of ``camera.Legs``."""
-    if silent or not scene.lights or not any(region.medium is not None for region in scene.regions):
+    if silent or not scene.emitters or not any(region.medium is not None for region in scene.regions):
         return []
     total = sum(map(len, ends))
     some = [legs.gather(_evenly(len(legs), -(-len(legs) * tolerances.MISSING_PHOTONS // total))) for legs in ends]
-    legs = type(ends[0])(*(lanes.concat(x) for x in zip(*(vars(part).values() for part in some))))
+    legs = type(ends[0]).concat(some)
     count = len(legs)
     met = meet(scene, legs.o, legs.d, True)
     P, n, tables = met.p, dr.select(dr.dot(met.n, legs.d) > 0, -met.n, met.n), Tables(scene)
     start, seen, wrong = P + n * offset(P), 0.0, np.zeros(len(scene.regions) + 1)
-    for light, point in points(scene, mi.PCG32(size=count)):
-        omega_L, d_L = point.source(mi.Float(1), mi.Point3f(0)).seen_from(P)
+    for emitter, point in points(scene, mi.PCG32(size=count)):
+        omega_L, d_L = point.local(mi.Point3f(0)).seen_from(P)
         arriving = legs.weight * point.intensity(media.visible()) * dr.maximum(dr.dot(n, omega_L), 0) / dr.square(d_L)
         emission = point.emission(mi.Point3f(0), media.visible())
         arriving = dr.mean(mi.Spectrum(arriving if emission is None else arriving * emission(P, omega_L, d_L)))
-        lit = met.hit & dr.isfinite(arriving) & (arriving > 0)
+        lit = met.valid & dr.isfinite(arriving) & (arriving > 0)
         distance = tolerances.ENDLESS if point.distant else d_L * (1 - tolerances.SHADOW_END)
         view = look(scene, tables, start, omega_L, distance, (legs.region, lit))
         # The nested integrator connects a point through nothing at all, and meets larger lights by chance behind anything.
-        exact = mi.Bool(light.exact is not None)
+        exact = mi.Bool(not emitter.drawn)
         counted = dr.select(~view.free | (exact & view.crosses), mi.Float(0), 1)
         right = dr.select(view.free & ~(exact & view.refracts), view.left, 0)
         seen += float(dr.sum(dr.select(lit, arriving * dr.maximum(counted, right), 0))[0])
-        off = dr.zeros(mi.Float, lanes.room(len(wrong)))
+        off = dr.zeros(mi.Float, arrays.room(len(wrong)))
         dr.scatter_add(off, arriving * dr.abs(counted - right), view.region, lit & (view.region != NONE))
         wrong += np.array(off)[: len(wrong)]
     share = wrong.sum() / max(seen, 1e-30)
@@ -84,7 +85,7 @@ def on_surfaces(scene, ends):
 
 def _evenly(n, count):
     """Numbers of ``count`` of ``n`` things, or of all of them."""
-    return lanes.array(mi.UInt32, (np.arange(min(n, count)) + 0.5) * n / min(n, count))
+    return arrays.array(mi.UInt32, (np.arange(min(n, count)) + 0.5) * n / min(n, count))
 
 
 def _about(share):

@@ -6,7 +6,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes, tolerances
+from .. import tolerances
+from ..core import arrays
+from ..light import light_samples
 from ..scene import NONE, holds, media
 from .walk import meet
 
@@ -28,16 +30,17 @@ def offset(p):
 
 
 def points(scene, random):
-    """Pairs of a ``Light`` and its ``LightPoint``, one or as many as ``random`` has lanes, of all lights or of some where they are many."""
-    chosen = np.linspace(0, len(scene.lights) - 1, min(len(scene.lights), tolerances.MISSING_LIGHTS)).astype(int)
-    for light in (scene.lights[i] for i in chosen):
+    """Pairs of an ``Emitter`` and its ``LightSample``, one or as many as ``random`` has lanes, of all emitters or of some where they are many."""
+    emitters = scene.emitters
+    chosen = np.linspace(0, len(emitters) - 1, min(len(emitters), tolerances.MISSING_LIGHTS)).astype(int)
+    for emitter in (emitters[i] for i in chosen):
         u = mi.Point2f(random.next_float32(), random.next_float32())
-        yield light, light.draw(u, 1.0) if light.exact is None else light.exact
+        yield emitter, light_samples.draw(emitter, u, 1.0) if emitter.drawn else light_samples.exact(emitter)
 
 
 def photons(scene):
     """``Photons`` of the lights."""
-    each = tolerances.MISSING_PHOTONS // min(len(scene.lights), tolerances.MISSING_LIGHTS)
+    each = tolerances.MISSING_PHOTONS // min(len(scene.emitters), tolerances.MISSING_LIGHTS)
     random, targets, found = mi.PCG32(size=each), _Targets(scene), []
     for _, point in points(scene, random):
         u = [random.next_float32() for _ in range(3)]
@@ -52,7 +55,7 @@ def photons(scene):
         sent = Photons(o, d, _region(scene, o, d), dr.select(dr.isfinite(weight), weight, 0))
         dr.eval(sent)
         found.append(sent)
-    return Photons(*(lanes.concat(x) for x in zip(*(vars(sent).values() for sent in found))))
+    return Photons(*(arrays.concat(x) for x in zip(*(vars(sent).values() for sent in found))))
 
 
 def _region(scene, o, d):
@@ -73,7 +76,7 @@ class _Targets:
     def __init__(self, scene):
         boxes = [body.box for body in scene.bodies] + [box for box in [scene.box()] if box is not None]
         spheres = [[*(0.5 * (low + high)), 0.5 * np.linalg.norm(high - low)] for low, high in boxes] or [[0, 0, 0, 1]]
-        self.count, self.spheres = dr.opaque(mi.UInt32, len(spheres)), lanes.array(mi.Float, np.ravel(spheres))
+        self.count, self.spheres = dr.opaque(mi.UInt32, len(spheres)), arrays.array(mi.Float, np.ravel(spheres))
         self.far = dr.opaque(mi.Float, 4 * float(np.abs(spheres).max()))
 
     def _sphere(self, i):

@@ -1,14 +1,18 @@
 """The way of photons: through boundaries by Fresnel's choice, through media, off surfaces; and straight lines through all of it."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes, optics, tolerances
-from ..geometry import triangle
+from .. import tolerances
+from ..core import arrays
 from ..scene import NONE, media
+from ..transport import crossing
+from ..transport.crossing import Hit
 
 KINDS = range(6)
 COMPUTED, REFRACTED, INSIDE, REFLECTED, SURFACES, FURTHER = KINDS
@@ -17,46 +21,34 @@ sheet or the outside of a body; one by a surface; another scattering. The last t
 
 
 @dataclass
-class Met:
-    """What rays meet. ``hit``: whether there is something; ``t``: how far; ``p``: where (world); ``shape``: its number, of an instance that of this; ``target``: the body (index) where it is a
-    ``boundary``; ``Ng``, ``n``: geometric and shading normal, outward; ``leaving``: whether the boundary is met from inside;
-    ``near``, ``behind``: the regions before and behind it."""
+class Met(Hit):
+    """What rays meet, plain surfaces too.
 
-    hit: object
-    t: object
-    shape: object
-    target: object
-    boundary: object
-    Ng: object
-    n: object
-    leaving: object
-    near: object
-    behind: object
-    p: object
+    shape  UInt32, its number, of an instance that of this
+    Ng, n  geometric and shading normal (unit), of boundaries outward
+    p      Point3f, where (world)
+    """
+
+    shape: mi.UInt32
+    Ng: mi.Vector3f
+    n: mi.Vector3f
+    p: mi.Point3f
 
 
 def meet(scene, o, d, active):
     """``Met`` of rays (world)."""
-    ray = mi.Ray3f(o, d)
-    pi = scene.mi_scene.ray_intersect_preliminary(ray, active=active)
-    hit, target = pi.is_valid() & active, scene.find(pi.shape)
-    boundary = hit & (target != NONE)
-    first = dr.gather(mi.UInt32, scene.first_record, target, boundary)
-    tri = triangle.gather(scene.records, dr.select(boundary, first + pi.prim_index, 0), boundary)
+    hit, ray = crossing.trace(scene, o, d, active), mi.Ray3f(o, d)
+    boundary = hit.valid & hit.boundary
     plain, at = mi.Normal3f(0), mi.Point3f(0)
     if scene.others:  # else kernels hold no shapes' code
-        si = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit & ~boundary)
+        si = hit.pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit.valid & ~boundary)
         plain, at = si.n, si.p
-    leaving = boundary & (dr.dot(d, tri.Ng) > 0)
-    near, behind = (scene.near(target, side, boundary) for side in (leaving, ~leaving))
-    normals = (dr.select(boundary, n, mi.Vector3f(plain)) for n in (tri.Ng, tri.normal(pi.prim_uv.x, pi.prim_uv.y)))
-    on = dr.gather(mi.Point3f, scene.centre, target, boundary) + tri.position(pi.prim_uv.x, pi.prim_uv.y)
-    number = dr.reinterpret_array(mi.UInt32, pi.shape)
-    inst = dr.reinterpret_array(mi.UInt32, pi.instance)
-    number = dr.select(inst != 0, inst, number)
-    return Met(
-        hit, pi.t, number, target, boundary, *normals, leaving, near, behind, mi.Point3f(dr.select(boundary, on, at))
-    )
+    normals = (dr.select(boundary, n, mi.Vector3f(plain)) for n in (hit.tri.Ng, hit.tri.normal(*hit.uv)))
+    on = dr.gather(mi.Point3f, scene.centre, hit.target, boundary) + hit.tri.position(*hit.uv)
+    number, instance = (dr.reinterpret_array(mi.UInt32, x) for x in (hit.pi.shape, hit.pi.instance))
+    number = dr.select(instance != 0, instance, number)
+    found = {**vars(hit), "boundary": boundary}
+    return Met(**found, shape=number, **dict(zip(("Ng", "n"), normals)), p=mi.Point3f(dr.select(boundary, on, at)))
 
 
 class Tables:
@@ -66,13 +58,13 @@ class Tables:
         self.size = dr.size_v(mi.Spectrum)
         none = [np.zeros(self.size)] * 2
         every = [none if region.medium is None else _coefficients(region) for region in scene.regions] + [none]
-        self.sigma_s, self.sigma_t = (lanes.array(mi.Float, np.concatenate(x)) for x in zip(*every))
-        self.reach = lanes.array(
+        self.sigma_s, self.sigma_t = (arrays.array(mi.Float, np.concatenate(x)) for x in zip(*every))
+        self.reach = arrays.array(
             mi.Float, [region.reach or tolerances.ENDLESS for region in scene.regions] + [tolerances.ENDLESS]
         )
         self.last = dr.opaque(mi.UInt32, len(scene.regions))
         kinds = [body.kind for body in scene.bodies] or [""]
-        self.refracts, self.thin = (lanes.array(mi.UInt32, [kind == x for kind in kinds]) for x in ("refracts", "thin"))
+        self.refracts = arrays.array(mi.UInt32, [kind == "refracts" for kind in kinds])
         self.mirror = scene.mirrors if scene.mirrors is not None else dr.zeros(mi.Float, dr.width(scene.body_of_shape))
 
     def of(self, region):
@@ -113,7 +105,7 @@ def follow(scene, photons):
     n, regions = dr.width(photons.d), len(scene.regions) + 1
     albedo, tables = scene.albedos(), Tables(scene)
     shapes = dr.width(albedo)
-    left = dr.zeros(mi.Float, lanes.room(len(KINDS) * regions * (shapes + 1)))
+    left = dr.zeros(mi.Float, arrays.room(len(KINDS) * regions * (shapes + 1)))
     size = dr.opaque(mi.UInt32, regions), dr.opaque(mi.UInt32, shapes + 1)
 
     def leave(state, index, value):
@@ -136,7 +128,7 @@ def _leg(state, scene, tables, albedo, leave):
     # Where faces touch, the one that is met tells the region better than the one that was left.
     here = dr.select(met.boundary, met.near, state.region)
     index, sigma_s, sigma_t, reach = tables.of(here)
-    length = dr.minimum(dr.select(met.hit, met.t, tolerances.ENDLESS), reach)
+    length = dr.minimum(dr.select(met.valid, met.pi.t, tolerances.ENDLESS), reach)
     left = dr.exp(-sigma_t * length)
     leave(state, index, dr.mean(state.weight * sigma_s / dr.maximum(sigma_t, 1e-30) * (1 - left)))
 
@@ -164,23 +156,18 @@ def _leg(state, scene, tables, albedo, leave):
         weight=state.weight * dr.select(scatters, after, left / (1 - p) * factor),
         kind=dr.select(worse, event, state.kind), refractions=refractions, first=first,
         culprit=dr.select(worse, dr.select(event == REFRACTED, first, met.shape), state.culprit), random=state.random, legs=state.legs + 1,
-        active=state.active & (scatters | (met.hit & (factor > 0))) & (state.legs < tolerances.MISSING_LEGS),
+        active=state.active & (scatters | (met.valid & (factor > 0))) & (state.legs < tolerances.MISSING_LEGS),
     )  # fmt: skip
 
 
 def _event(state, scene, tables, albedo, met):
     """What happens to photons at what they meet: the event, whether they go through it, their direction, what is left of them."""
-    thin, refracts = ((dr.gather(mi.UInt32, x, met.target, met.boundary) > 0) for x in (tables.thin, tables.refracts))
-    n = dr.select(dr.dot(state.d, met.n) < 0, met.n, -met.n)
-    eta = dr.select(met.boundary, dr.gather(mi.Float, scene.eta, met.target, met.boundary), 1)
-    eta_ti = dr.select(thin | (dr.dot(state.d, met.n) < 0), eta, dr.rcp(eta))
-    F, cos_t = optics.fresnel(dr.minimum(-dr.dot(state.d, n), 1), eta_ti)
-    F = dr.select(thin, optics.twice(F), dr.select(refracts, F, 0))
-    reflects = met.boundary & (state.random.next_float32() < F)
-    mirror = met.hit & (dr.gather(mi.Float, tables.mirror, met.shape, met.hit) > 0)
-    d = dr.select(refracts, optics.refract(state.d, n, cos_t, eta_ti), state.d)
-    d = dr.select(reflects | mirror, optics.reflect(state.d, n), d)
-    plain = met.hit & ~met.boundary & ~mirror
+    refracts = dr.gather(mi.UInt32, tables.refracts, met.target, met.boundary) > 0
+    at, n = crossing.cross(scene, state.d, met, met.n), dr.select(dr.dot(state.d, met.n) < 0, met.n, -met.n)
+    reflects = met.boundary & (state.random.next_float32() < at.F)
+    mirror = met.valid & (dr.gather(mi.Float, tables.mirror, met.shape, met.valid) > 0)
+    d = dr.select(reflects | mirror, at.reflected, at.refracted)
+    plain = met.valid & ~met.boundary & ~mirror
     cosine = mi.warp.square_to_cosine_hemisphere(mi.Point2f(state.random.next_float32(), state.random.next_float32()))
     d = dr.select(plain, mi.Frame3f(n).to_world(cosine), d)
     event = dr.select(refracts, mi.UInt32(REFRACTED), COMPUTED)
@@ -207,18 +194,18 @@ def look(scene, tables, o, d, distance, start):
 
     def step(o, rest, region, active, depth, deepest, which, free, crosses, refracts):
         met = meet(scene, o, d, active)
-        met.hit &= met.t < rest
-        boundary = met.hit & met.boundary
+        met.valid &= met.pi.t < rest
+        boundary = met.valid & met.boundary
         index, _, sigma_t, reach = tables.of(dr.select(boundary, met.near, region))
-        here = dr.select(active, dr.mean(sigma_t) * dr.select(met.hit, met.t, dr.minimum(rest, reach)), 0)
+        here = dr.select(active, dr.mean(sigma_t) * dr.select(met.valid, met.pi.t, dr.minimum(rest, reach)), 0)
         which, deepest = dr.select(here > deepest, index, which), dr.maximum(here, deepest)
         bends = boundary & (dr.gather(mi.UInt32, tables.refracts, met.target, boundary) > 0)
         slope = dr.maximum(dr.abs(dr.dot(d, met.Ng)), tolerances.GRAZING)
-        ahead = met.t + tolerances.MISSING_OFFSET * dr.max(dr.abs(met.p)) / slope
+        ahead = met.pi.t + tolerances.MISSING_OFFSET * dr.max(dr.abs(met.p)) / slope
         go_on = boundary & (rest > ahead)
         ahead = dr.select(go_on, ahead, 0)
         return (mi.Point3f(o + d * ahead), rest - ahead, dr.select(go_on, met.behind, region), go_on, depth + here, deepest, which,
-                free & ~(met.hit & ~met.boundary), crosses | boundary, refracts | bends)  # fmt: skip
+                free & ~(met.valid & ~met.boundary), crosses | boundary, refracts | bends)  # fmt: skip
 
     region, active = start
     zero, no = dr.zeros(mi.Float, n), dr.full(mi.Bool, False, n)

@@ -6,12 +6,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import camera, options, platform, tolerances, wavefront
-from ..estimators import point, profile
-from ..integrators import lit
-from ..kept import Kept
-from ..scene import refuse_gradients
-from ..sequence import Batch
+from .. import options, platform, tolerances
+from ..core.cache import Cache
+from ..core.sobol import Batch
+from ..estimators import point, profile, wavefront
+from ..integrators import messages, single_scattering
+from ..integrators.prepared import prepare
+from ..light import light_samples
+from ..scene import refuse_gradients, region_of_camera
+from ..transport import camera_paths
 from .curves import Curve, Triangles, curve_of, peaks
 
 
@@ -121,9 +124,11 @@ def probe(
         prepared, left_out = _prepared(scene, tolerance, internal_bounces, culling)
         film_sensor = scene.sensors()[sensor]
         ray = _camera_ray(film_sensor, x, y)
-        start = prepared.start(film_sensor.get_medium(), ray)
-        prepared.warn_of_lights_at(ray)
-        paths = camera.trace(prepared.scene, ray, True, start, internal_bounces, False, prepared.accuracy.weight)
+        ends = [_numbers(x) for x in (ray.o, ray.d)]
+        messages.Messages().warn(messages.lights_at_the_camera(prepared.scene, ends))
+        start = region_of_camera(prepared.scene, film_sensor.get_medium(), ends[0][0])
+        limits = camera_paths.Limits(internal_bounces, False, prepared.accuracy.weight)
+        paths = camera_paths.trace(prepared.scene, ray, True, start, limits)
         found = _segments(prepared.scene, paths)
         if not found:
             raise ProbeError(
@@ -139,18 +144,18 @@ def probe(
 
 
 def _prepared(scene, tolerance, internal_bounces, culling):
-    """``lit.Prepared`` for exact roots on the meshes themselves, with those of the lights that are one point or direction, and the names of the others."""
+    """``Prepared`` for exact roots on the meshes themselves, with those of the lights that are one point or direction, and the names of the others."""
     changes = {"newton": tolerances.accuracy(0.0).newton, "coarse": 0.0, "samples_visibility": False}
     chosen = options.Options(
         tolerance=float(tolerance), internal_bounces=internal_bounces, culling=culling, surfaces=False
     )
-    prepared = lit.Prepared(scene, chosen, lambda: 0, Kept(), changes=changes)
-    exact = [light for light in prepared.scene.lights if light.exact is not None]
-    left_out = [light.name for light in prepared.scene.lights if light.exact is None]
+    prepared = prepare(scene, chosen, Cache(), lambda: 0, changes=changes)
+    exact = [emitter for emitter in prepared.scene.emitters if not emitter.drawn]
+    left_out = [emitter.name for emitter in prepared.scene.emitters if emitter.drawn]
     if not exact:
         raise ProbeError(f"{' and '.join(left_out)} is not one point or direction, of which alone light can be followed to a ray: add a point, "
                          "spot, projector or directional light")  # fmt: skip
-    prepared.scene, prepared.sequence = replace(prepared.scene, lights=exact), None
+    prepared.scene, prepared.sequence = replace(prepared.scene, emitters=exact), None
     return prepared, left_out
 
 
@@ -171,9 +176,9 @@ def _segments(scene, paths):
     for region in scene.regions:
         along = paths.segments(region)
         if along is not None:
-            arrays = [_numbers(x) for x in (along.start(), along.direction, along.length, along.weight)]
+            numbers = [_numbers(x) for x in (along.start(), along.direction, along.length, along.weight)]
             found += [
-                (Segment(o, d, float(t[0]), w, region.name), (region, i)) for i, (o, d, t, w) in enumerate(zip(*arrays))
+                (Segment(o, d, float(t[0]), w, region.name), (region, i)) for i, (o, d, t, w) in enumerate(zip(*numbers))
             ]
     return sorted(found, key=lambda entry: -entry[0].weight.mean())
 
@@ -202,7 +207,7 @@ class _Along:
         self.sigma_s, self.sigma_t = region.coefficients(ray.wavelengths, self.segment.direction)
 
     def pieces(self, n):
-        """``camera.Paths`` of n equal parts of the segment, each a camera sample of its own, and the mean radiance per length of a sum over one."""
+        """``camera_paths.Paths`` of n equal parts of the segment, each a camera sample of its own, and the mean radiance per length of a sum over one."""
         i, one = dr.arange(mi.UInt32, n), self.segment
         step = dr.opaque(mi.Float, self.length / n)
         t = mi.Float(i) * step
@@ -212,41 +217,42 @@ class _Along:
             one, origin=one.origin + t * one.direction, offset=one.offset + 0 * t, direction=one.direction + mi.Vector3f(0 * t),
             length=step + 0 * t, weight=weight, sample=i,
         )  # fmt: skip
-        paths = camera.Paths([[] for _ in self.prepared.scene.regions], [], False, mi.Bool(True))
+        paths = camera_paths.Paths([[] for _ in self.prepared.scene.regions], [], False, mi.Bool(True))
         paths.parts[self.region.index].append(pieces)
         dr.eval(pieces)
         return paths
 
     def estimate(self, n=1, refracted=True):
         """Radiance (n, C) that the estimator finds for each of n equal parts of the segment; without ``refracted`` only of light that is not."""
-        return _numbers(
-            lit.scatter(self.prepared, self.pieces(n), self.ray, n, Batch(), 0, False, None, refracted).value
-        )
+        samples = single_scattering.Samples(self.ray, Batch())
+        found = single_scattering.scatter(self.prepared, self.pieces(n), samples, wavefront.Counts(), refracted)
+        return _numbers(found.value)
 
-    def lit_by(self):
-        """For all lights and boundaries that refract their light: their numbers, the body, ``Lighting``, culling, and the factor of
+    def lights(self):
+        """For all lights and boundaries that refract their light: their numbers, the body, ``Illumination``, culling, and the factor of
         what is found."""
-        for i, light in enumerate(self.prepared.scene.lights):
-            value = light.exact.intensity(self.ray.wavelengths)
+        wavelengths = self.ray.wavelengths
+        for i, emitter in enumerate(self.prepared.scene.emitters):
+            sample = light_samples.exact(emitter)
+            value = sample.intensity(wavelengths)
             for k, body in enumerate(self.region.boundaries):
-                lighting, culling = self.prepared.lit(body, self.region, light.exact, self.ray.wavelengths, light.index)
+                illumination, culling = self.prepared.illuminated(body, self.region, sample, emitter, wavelengths)
                 if culling is not None:
-                    tint = body.tint("specular_transmittance", self.ray.wavelengths)
-                    yield i, k, body, lighting, culling, self.segment.weight * self.sigma_s * value * tint
+                    tint = body.tint("specular_transmittance", wavelengths)
+                    yield i, k, body, illumination, culling, self.segment.weight * self.sigma_s * value * tint
 
-    def sweep(self, segments, culling, lighting, estimator):
-        return wavefront.sweep(
-            segments, culling, lighting, self.prepared.accuracy, estimator, False, None, wavefront.Pace()
-        )[0]
+    def sweep(self, segments, culling, illumination, estimator):
+        """``wavefront.sweep`` with the accuracy of the probe."""
+        return wavefront.sweep(segments, culling, illumination, estimator, wavefront.Run(self.prepared.accuracy))[0]
 
     def samples(self, n):
         """``Samples`` of n points for each light."""
         found, estimate = {}, 0.0
-        for i, _, body, lighting, culling, factor in self.lit_by():
+        for i, _, body, illumination, culling, factor in self.lights():
             segments = self.segment.from_boundary(body.centre, self.sigma_t)
-            index, points, weight = point.queries(segments, lighting, 0, n, n, 0)
+            index, points, weight = point.sample_points(segments, illumination, 0, n, n, 0)
             dr.eval(index, points.o, weight)
-            value = self.sweep(points, culling, lighting.at(index), point).value * factor
+            value = self.sweep(points, culling, illumination.at(index), point.Point()).value * factor
             t = dr.dot(points.o - segments.o, segments.d)
             estimate = estimate + _numbers(weight * value).sum(axis=0)
             density = _numbers(value * dr.exp(-self.sigma_t * t))
@@ -263,9 +269,9 @@ def _probe(pixel, ray, segments, number, one, samples, left_out):
     """``Probe`` of a segment."""
     n, length = one.parts, one.length
     refracted, found = np.zeros((n, len(mi.Spectrum(0)))), []
-    for light, boundary, body, lighting, culling, factor in one.lit_by():
+    for light, boundary, body, illumination, culling, factor in one.lights():
         collected = profile.Profile(tolerances.PROFILE_CELLS)
-        one.sweep(one.segment.from_boundary(body.centre, one.sigma_t), culling, lighting, collected)
+        one.sweep(one.segment.from_boundary(body.centre, one.sigma_t), culling, illumination, collected)
         for cells in collected.found:
             refracted += _numbers(profile.means(cells, length, n) * factor)
             found.append((light, boundary, body, cells, factor))
@@ -279,7 +285,7 @@ def _probe(pixel, ray, segments, number, one, samples, left_out):
         pixel=pixel, camera=_first_leg(scene, ray), segments=segments, segment=number, distance=distance, radiance=total, straight=straight,
         integral=integral, estimated=one.estimate()[0], unresolved=unresolved / max(integral.sum(), 1e-30), peaks=peaks(distance, total),
         curve=curve, triangles=triangles, samples=one.samples(samples),
-        lights=[Light(light.name, _numbers(light.exact.L)[0], light.exact.distant) for light in scene.lights],
+        lights=[Light(emitter.name, _numbers(emitter.place.L)[0], emitter.place.distant) for emitter in scene.emitters],
         left_out=left_out, boundaries=[Boundary(body.name, body.corners) for body in one.region.boundaries],
     )  # fmt: skip
 

@@ -9,13 +9,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes, tolerances
+from .. import tolerances
+from ..core import arrays
+from ..core.cache import RecordsKey, digest, fingerprint
 from ..geometry import mesh as mesh_facts
-from ..kept import RecordsKey, digest, fingerprint
-from . import bodies as body_reader
-from . import lights as light_reader
-from . import shapes
-from .bodies import NONE
+from . import boundaries as body_reader
+from . import emitters as emitter_reader
+from . import tessellation
+from .boundaries import NONE
 from .errors import SceneError, name_edge, name_medium, name_shape
 from .regions import Regions
 from .support import REFUSED, refusal
@@ -42,7 +43,7 @@ class Scene:
     mi_scene: object
     bodies: list
     regions: list
-    lights: list
+    emitters: list
     records: object
     body_of_shape: object
     eta: object
@@ -68,7 +69,9 @@ class Scene:
     def lights_at(self, o, d):
         """Names of the lights that are points where camera rays (``o``, ``d``: (n, 3)) all come from, seen from some body."""
         points = {
-            light.name: np.ravel(light.exact.L) for light in self.lights if light.exact and not light.exact.distant
+            emitter.name: np.ravel(emitter.place.L)
+            for emitter in self.emitters
+            if not emitter.drawn and not emitter.place.distant
         }
         ways = [
             np.linalg.norm(np.maximum(0, np.maximum(low - o[0], o[0] - high)))
@@ -76,6 +79,11 @@ class Scene:
         ]
         near = tolerances.AT_CAMERA * min(ways, default=0)
         return [name for name, L in points.items() if (np.linalg.norm(np.cross(o - L, d), axis=1) < near).all()]
+
+    def through_media(self, body):
+        """Whether light comes to a boundary through a medium or straight through other boundaries."""
+        outside = self.regions[body.outside] if body.outside != NONE else None
+        return self.straight is not None or (outside is not None and outside.medium is not None)
 
     def near(self, target, leaving, active):
         """Region on the near side of rays that meet the boundaries ``target``, from inside where they are ``leaving``."""
@@ -130,37 +138,39 @@ class Scene:
         return self.mirror_extent(shape) > 0
 
 
-def read(scene, tolerance, kept, straight=False):
+def read(scene, tolerance, cache, straight=False):
     """Reads a ``mi.Scene``; ``tolerance``: relative error of the image that replacing curved shapes by meshes may cause;
-    ``kept``: ``kept.Kept``; ``straight``: whether light goes straight through all boundaries, as if they were ``null`` (camera rays are refracted all
+    ``cache``: ``Cache``; ``straight``: whether light goes straight through all boundaries, as if they were ``null`` (camera rays are refracted all
     the same). Raises ``SceneError`` for what cannot be rendered."""
-    scene = shapes.expand(scene, lambda shape: body_reader.kind_of(shape) is not None, tolerance)
+    scene = tessellation.expand(scene, lambda shape: body_reader.kind_of(shape) is not None, tolerance)
     bodies, others, kinds = [], [], [body_reader.kind_of(shape) for shape in scene.shapes()]
     for shape, kind in zip(scene.shapes(), kinds):
         if kind is None:
             others.append(shape)
         else:
-            bodies.append(body_reader.read(shape, kind, len(bodies), sum(body.triangle_count for body in bodies), kept))
+            bodies.append(
+                body_reader.read(shape, kind, len(bodies), sum(body.triangle_count for body in bodies), cache)
+            )
     regions = Regions(bodies, scene.sensors()).found
     if not any(region.medium is not None for region in regions):
         raise SceneError("the scene has no body with a medium, so there is no scattering to compute: give a mesh a "
                          "<bsdf type=\"dielectric\"/> and a <medium name=\"interior\" type=\"homogeneous\"/>")  # fmt: skip
-    lights = light_reader.read(scene, bodies, any(region.scatters for region in regions))
+    emitters = emitter_reader.read(scene, bodies, any(region.scatters for region in regions))
     passed = [body for body in bodies if straight or not body.refracts]
-    packed = bodies + _boundaries(bodies, passed, regions, lights)
+    packed = bodies + _boundaries(bodies, passed, regions, emitters)
     key = RecordsKey(tuple(body.key for body in packed))
     return Scene(
-        mi_scene=scene, bodies=bodies, regions=regions, lights=lights,
-        records=kept.once(lambda: lanes.array(mi.Float, np.concatenate([body.packed() for body in packed] or [np.zeros(24)])), key),
+        mi_scene=scene, bodies=bodies, regions=regions, emitters=emitters,
+        records=cache.once(lambda: arrays.array(mi.Float, np.concatenate([body.packed() for body in packed] or [np.zeros(24)])), key),
         body_of_shape=_per_shape(scene, mi.UInt32, NONE, {shape_number(body.shape): body.index for body in bodies}),
-        **{key: lanes.array(kind, [getattr(body, key) for body in bodies] or [0])
+        **{key: arrays.array(kind, [getattr(body, key) for body in bodies] or [0])
            for key, kind in (("eta", mi.Float), ("first_record", mi.UInt32), ("extent", mi.Float),
                              ("inside", mi.UInt32), ("outside", mi.UInt32))},
-        centre=lanes.array(mi.Float, [x for body in bodies for x in body.centre] or [0, 0, 0]),
-        index2=lanes.array(mi.Float, np.square(_indices(bodies, regions))),
-        owner=lanes.array(mi.UInt32, [NONE if region.body is None else region.body.index for region in regions]),
+        centre=arrays.array(mi.Float, [x for body in bodies for x in body.centre] or [0, 0, 0]),
+        index2=arrays.array(mi.Float, np.square(_indices(bodies, regions))),
+        owner=arrays.array(mi.UInt32, [NONE if region.body is None else region.body.index for region in regions]),
         thin=_where(body.kind == "thin" for body in bodies),
-        straight=lanes.array(mi.UInt32, [(body in passed) * (ONCE if body.refracts else 1) for body in bodies]) if passed else None,
+        straight=arrays.array(mi.UInt32, [(body in passed) * (ONCE if body.refracts else 1) for body in bodies]) if passed else None,
         passed=passed,
         others=others,
         records_key=key,
@@ -172,7 +182,7 @@ def read(scene, tolerance, kept, straight=False):
 
 def _where(flags):
     flags = list(flags)
-    return lanes.array(mi.Bool, flags) if any(flags) else None
+    return arrays.array(mi.Bool, flags) if any(flags) else None
 
 
 def _indices(bodies, regions):
@@ -198,7 +208,7 @@ def _geometry(bodies, others):
         kind = shape.class_name()
         if shape.is_mesh():
             out.append(fingerprint(shape.faces_buffer(), shape.vertex_positions_buffer()))
-        elif kind in shapes.PROBES:
+        elif kind in tessellation.PROBES:
             out.append((kind, digest(mi.traverse(shape)["to_world"].matrix)))
         else:
             return None
@@ -215,7 +225,7 @@ def _per_shape(scene, kind, default, values):
     table = [default] * (1 + max([shape_number(shape) for shape in scene.shapes()], default=0))
     for shape_id, value in values.items():
         table[shape_id] = value
-    return lanes.array(kind, table)
+    return arrays.array(kind, table)
 
 
 def _extent(shape):
@@ -232,7 +242,7 @@ def _is_mirror(shape):
     return not any(mi.has_flag(bsdf.flags(), x) for x in (flag.Smooth, flag.Transmission, flag.Null))
 
 
-def _boundaries(bodies, passed, regions, lights):
+def _boundaries(bodies, passed, regions, emitters):
     """Gives regions their refracting boundaries, and sets which of them admit light straight. Returns the bodies whose triangles must be
     packed besides those of ``bodies``: boundaries seen from their other side."""
     turned, next_record = [], sum(body.triangle_count for body in bodies)
@@ -245,7 +255,7 @@ def _boundaries(bodies, passed, regions, lights):
             continue
         if inside is not None and inside.scatters:
             inside.boundaries.append(body if inside.reach is None else body.reaches(inside.reach))
-        if outside is not None and outside.scatters and any(_may_be_inside(light, body) for light in lights):
+        if outside is not None and outside.scatters and any(_may_be_inside(emitter, body) for emitter in emitters):
             other = body.flipped(next_record)
             next_record += body.triangle_count
             turned.append(other)
@@ -256,13 +266,13 @@ def _boundaries(bodies, passed, regions, lights):
     return turned
 
 
-def _may_be_inside(light, body):
-    """Whether light may come to a boundary from its inside."""
+def _may_be_inside(emitter, body):
+    """Whether light of an emitter may come to a boundary from its inside."""
     if not body.closed:
         return True
-    if light.exact is not None:
-        return not light.exact.distant and holds(body, np.array(light.exact.L).ravel())
-    return light.box is not None and all((light.box[0] <= body.box[1]) & (light.box[1] >= body.box[0]))
+    if not emitter.drawn:
+        return not emitter.place.distant and holds(body, np.array(emitter.place.L).ravel())
+    return emitter.box is not None and all((emitter.box[0] <= body.box[1]) & (emitter.box[1] >= body.box[0]))
 
 
 def holds(body, point):

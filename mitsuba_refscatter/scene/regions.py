@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import tolerances
 from . import media
-from .bodies import NONE, enclosed_share
+from .boundaries import NONE, enclosed_share
 from .errors import SceneError, name_medium
 from .support import refusal
 

@@ -4,7 +4,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import lanes, tolerances
+from .. import tolerances
+from ..core import arrays
 from .errors import name_shape
 from .media import visible
 
@@ -39,7 +40,7 @@ def albedos(mi_scene, shapes):
         if bsdf is not None and id(bsdf) not in known:
             known[id(bsdf)] = _reflected(bsdf, si)
         out[shape_number(shape)] = known.get(id(bsdf), tolerances.MISSING_ALBEDO)
-    return lanes.array(mi.Float, out)
+    return arrays.array(mi.Float, out)
 
 
 def _reflected(bsdf, si):

@@ -98,9 +98,9 @@ class Connection:
         return dr.square(self.s * self.d_L) * dr.abs(J) / (cosines * area2)
 
 
-def connect(tri, light, V, d, u, v):
-    """``Connection`` of ``light`` (``optics.Source``), the point (u, v) of triangles and ``V``, which moves along ``d``."""
-    eta = light.eta
+def connect(tri, incidence, V, d, u, v):
+    """``Connection`` of the light of an ``optics.Incidence``, the point (u, v) of triangles and ``V``, which moves along ``d``."""
+    light, eta = incidence.light, incidence.eta
     P = tri.position(u, v)
     n, n_u = tri.normal_derivative(u, v, 1, 0)
     _, n_v = tri.normal_derivative(u, v, 0, 1)
@@ -109,10 +109,10 @@ def connect(tri, light, V, d, u, v):
     s = dr.norm(to_V) * dr.select(dr.dot(to_V, tri.Ng) > 0, -1, 1)
     omega_V = to_V / s
 
-    def turn(move):
+    def change(move):
         return (move - omega_V * dr.dot(omega_V, move)) / s
 
-    q_u, q_v = (light.turn(omega_L, d_L, P_x) - eta * turn(P_x) for P_x in (tri.P_u, tri.P_v))
+    q_u, q_v = (light.direction_change(omega_L, d_L, P_x) - eta * change(P_x) for P_x in (tri.P_u, tri.P_v))
     s_t, s_u, s_v = dr.dot(omega_V, d), -dr.dot(omega_V, tri.P_u), -dr.dot(omega_V, tri.P_v)
-    return Connection(P, n, omega_L, d_L, omega_V, s, omega_L + eta * omega_V, eta * turn(d), q_u, q_v,
+    return Connection(P, n, omega_L, d_L, omega_V, s, omega_L + eta * omega_V, eta * change(d), q_u, q_v,
                       n_u, n_v, s_t, s_u, s_v)  # fmt: skip

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import drjit as dr
 import mitsuba as mi
 
-from .. import lanes
+from ..core import arrays
 from ..geometry import bvh
 
 
@@ -39,16 +39,16 @@ class CameraSegments:
 
     def gather(self, index):
         """Those at ``index`` (UInt32)."""
-        arrays = {name: lanes.gather(getattr(self, name), index) for name in _ARRAYS}
-        return replace(self, wavelengths=lanes.of(self.wavelengths, index), **arrays)
+        gathered = {name: arrays.gather(getattr(self, name), index) for name in _ARRAYS}
+        return replace(self, wavelengths=arrays.of(self.wavelengths, index), **gathered)
 
     @classmethod
     def concat(cls, parts):
         """All segments of a list of them, of one region."""
-        arrays = {name: lanes.concat(getattr(part, name) for part in parts) for name in _ARRAYS}
+        joined = {name: arrays.concat(getattr(part, name) for part in parts) for name in _ARRAYS}
         one = len(parts[0].wavelengths) == 0 or any(dr.width(part.wavelengths) != len(part) for part in parts)
-        wavelengths = parts[0].wavelengths if one else lanes.concat(part.wavelengths for part in parts)
-        return replace(parts[0], wavelengths=wavelengths, **arrays)
+        wavelengths = parts[0].wavelengths if one else arrays.concat(part.wavelengths for part in parts)
+        return replace(parts[0], wavelengths=wavelengths, **joined)
 
     def start(self):
         """Point3f, where they start on the boundary, rounded in world coordinates."""

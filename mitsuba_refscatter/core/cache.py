@@ -1,0 +1,134 @@
+"""What renders of one integrator use again, under keys that name all that it depends on.
+
+A key is a frozen record, one class for each kind of thing. A function whose result is kept uses nothing of a scene or of options that
+is not in the fields of its key. What depends on too much for that has the scene itself in its key, and its parameters.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+
+class Cache:
+    """Things by what they were made from. Those that one round did not ask for are dropped at the end of the next."""
+
+    def __init__(self):
+        self._now, self._before = {}, {}
+
+    def next_round(self):
+        """Drops what the last round did not ask for."""
+        self._now, self._before = {}, self._now
+
+    def once(self, make, key):
+        """What ``make()`` made at the first use of ``key``."""
+        if key not in self._now:
+            self._now[key] = self._before[key] if key in self._before else make()
+        return self._now[key]
+
+
+@dataclass(frozen=True)
+class BodyKey:
+    """Of a boundary's triangles and of how far its light is followed. ``has``: which normals Mitsuba's mesh has and whether it is
+    flipped; ``mesh``: fingerprint of its buffers; ``flipped``, ``reach``: ``Body.flipped`` and ``reaches``; ``patches``: digest of
+    those that stand for the triangles."""
+
+    kind: str
+    eta: float
+    has: tuple
+    mesh: tuple
+    flipped: bool = False
+    reach: float = 0.0
+    patches: bytes = b""
+
+
+@dataclass(frozen=True)
+class LevelsKey:
+    """Of the coarser meshes of a body (``coarse.levels``)."""
+
+    body: BodyKey
+    least_turn: float
+    most_turn: float
+
+
+@dataclass(frozen=True)
+class PatchesKey:
+    """Of the patches on a coarser mesh. Other shapes may hide the body from the rays that find their middles. ``faces``: digest;
+    ``geometry``: ``Scene.geometry``. Where that is None it is a key in one render."""
+
+    body: BodyKey
+    faces: bytes
+    geometry: tuple | None
+
+
+@dataclass(frozen=True)
+class RecordsKey:
+    """Of packed triangles or patches: those of bodies, one after the other."""
+
+    bodies: tuple
+
+
+@dataclass(frozen=True)
+class TreeKey:
+    """Of what is made of the triangles of one body, the one whose first is ``first_record``. ``kind``: what that is."""
+
+    kind: str
+    records: RecordsKey
+    first_record: int
+
+
+@dataclass(frozen=True)
+class BeamsKey:
+    """Of the light beams of one light point in a body. ``body``, ``records``, ``first_record``: its triangles; ``geometry``:
+    ``Scene.geometry``, for shadows; ``distant``, ``L``: of the light, which lies on no shape; ``lit``: whether rays test what is lit."""
+
+    body: BodyKey
+    records: RecordsKey
+    first_record: int
+    geometry: tuple
+    distant: bool
+    L: tuple
+    lit: bool
+    accuracy: object
+
+
+@dataclass(frozen=True)
+class ChoiceKey:
+    """Of which coarser mesh stands for a body: depends on all that single scattering does. ``scene``: Mitsuba's, the object itself;
+    ``parameters``: digest of all that can be changed in it; ``segments``: digest of the camera segments on which it is measured;
+    ``region``, ``light``: indices."""
+
+    scene: object
+    parameters: bytes
+    segments: bytes
+    body: BodyKey
+    region: int
+    light: int
+    accuracy: object
+
+
+def fingerprint(*arrays):
+    """A tuple that tells arrays of numbers of 32 bits from others: 64 bits for each that is not empty."""
+    out = []
+    for x in arrays:
+        if dr.width(x) == 0:
+            continue
+        bits = dr.reinterpret_array(mi.UInt32, x)
+        for mixed in mi.sample_tea_32(bits, dr.arange(mi.UInt32, dr.width(bits)) + dr.opaque(mi.UInt32, len(out))):
+            out.append(dr.sum(mi.UInt64(mixed)))
+    dr.eval(out)
+    return tuple(int(x[0]) for x in out)
+
+
+def digest(*values):
+    """Bytes that tell numbers, texts and arrays (NumPy's, Dr.Jit's) from others."""
+    out = hashlib.blake2b(digest_size=16)
+    for x in values:
+        x = np.asarray(x)
+        out.update(f"{x.dtype} {x.shape} ".encode())
+        out.update(x.tobytes())
+    return out.digest()

@@ -1,0 +1,66 @@
+"""What a culling is: it finds the triangles of a boundary that may refract light onto camera segments."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from ..geometry import bvh
+
+
+class Culling(ABC):
+    """A tree over the triangles of a boundary, or over the light beams that they make, and its tests.
+
+    A camera segment and an item of the tree are a pair (``pairs.Pairs``). Pairs that are found go to an estimator
+    (``estimators.protocol``).
+
+    tree         over the items, ``bvh.LEAF`` in each leaf
+    width        mean width of the items, in units of the scene; 0 where segments never go through the tree in bundles
+    """
+
+    tree: bvh.Tree
+    width: float
+
+    for_one_light: bool
+    """Whether it is made for one light sample: it then knows the zeros of g before an estimator does, proofs of visibility, and light
+    samples are shared by camera samples. Else each camera segment may have a light sample of its own."""
+
+    takes_coarse_meshes: bool
+    """Whether a coarser mesh may stand for that of the boundary."""
+
+    bundle: int
+    """Camera segments that go through the tree together, at most."""
+
+    most_levels: int
+    """Levels to which items are cut for single segments."""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, body, shadows, structures, drawn) -> Culling | None:
+        """The culling of a boundary for a light sample; None if none of it is lit.
+
+        body        ``scene.Body``
+        shadows     ``visibility.Shadows`` of the light sample
+        structures  ``Structures`` of the scene
+        drawn       whether the light sample is one of many: then nothing is made for other renders
+        """
+
+    @abstractmethod
+    def node_test(self, segments, incidence):
+        """The conservative test of camera segments, or bundles of them, against a node of the tree: a function for
+        ``bvh.traverse``. ``incidence``: ``optics.Incidence``, its light one or one for each segment."""
+
+    @abstractmethod
+    def plausible(self, pairs, segment, incidence):
+        """Which pairs (Bool) exist and may contribute, by a test of their own. ``segment``: of each pair."""
+
+    def near(self, item, bundles):
+        """Which items (indices) may contribute to a segment of bundles, lane by lane (Bool); only where ``bundle`` > 1."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def triangle_of(self, pairs, active=True):
+        """Indices (UInt32) of the pairs' triangles among the scene's records."""
+
+    @abstractmethod
+    def take(self, pairs, incidence, active=True):
+        """``pairs.Taken``: triangles, light beams and proofs for pairs."""

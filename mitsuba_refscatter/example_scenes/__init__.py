@@ -1,0 +1,80 @@
+"""Bodies and scenes made by code: ``write_scene("bumpy_sphere", "out", triangles=1280)``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..core.spelling import advice
+from .bodies import amber, bumpy_sphere, rounded_cube, sphere
+from .branches import branches
+from .ply import write_ply
+from .studio import STUDIO
+from .templates import SCENES
+from .water import water
+
+__all__ = [
+    "BODIES",
+    "SCENES",
+    "STUDIO",
+    "BodyError",
+    "load",
+    "make_body",
+    "write_ply",
+    "write_scene",
+]
+
+BODIES = {
+    "bumpy_sphere": bumpy_sphere,
+    "sphere": sphere,
+    "rounded_cube": rounded_cube,
+    "branches": branches,
+    "amber": amber,
+    "underwater": water,
+}
+
+
+class BodyError(ValueError):
+    """A body that cannot be made, and why."""
+
+
+MAX_TRIANGLES = 20_000_000  # indices and memory stay harmless; a typing error does not
+
+
+def make_body(name: str, triangles: int | None = None):
+    """Return ``(vertices, faces, normals)`` of a body, with about ``triangles`` triangles; ``BodyError`` if that can't be.
+
+    >>> [x.shape for x in make_body("sphere", triangles=100)]
+    [(42, 3), (80, 3), (42, 3)]
+    """
+    if name not in BODIES:
+        raise BodyError(f"there is no scene '{name}': {advice(name, BODIES)}")
+    wanted = SCENES[name].triangles if triangles is None else triangles
+    if not 1 <= wanted <= MAX_TRIANGLES:
+        raise BodyError(f"{wanted} triangles asked for: give a number from 1 to {MAX_TRIANGLES}")
+    try:
+        return BODIES[name](wanted)
+    except ValueError as error:
+        raise BodyError(str(error)) from error
+
+
+def write_scene(name: str, directory, triangles: int | None = None) -> tuple[Path, int]:
+    """Write ``directory/scene.xml``, its mesh and what else it needs; return the XML's path and the triangle count.
+    Raises ``BodyError`` and ``OSError``."""
+    vertices, faces, normals = make_body(name, triangles)
+    directory = Path(directory)
+    (directory / "meshes").mkdir(parents=True, exist_ok=True)
+    comment = f"{name}, {len(faces)} triangles, written by: refscatter scenes"
+    write_ply(directory / "meshes" / f"{name}.ply", vertices, faces, normals, comment)
+    for file, content in SCENES[name].files.items():
+        (directory / file).write_bytes(content())
+    path = directory / "scene.xml"
+    path.write_text(SCENES[name].xml(name, len(faces)), encoding="utf-8")
+    return path, len(faces)
+
+
+def load(path, **values):
+    """Load a scene file with these parameters: its shapes one by one, not merged, since merged ones lose the names that error
+    messages need; and not in parallel, in which a film and a reflectance were once not made for no reason."""
+    import mitsuba as mi
+
+    return mi.load_file(str(path), optimize=False, parallel=False, **values)

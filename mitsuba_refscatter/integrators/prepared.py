@@ -1,0 +1,113 @@
+"""What one render needs to know of a scene, made step by step: the records, the accuracy, the methods, the structures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import mitsuba as mi
+
+from .. import tolerances
+from ..core.cache import Cache
+from ..core.sobol import Sequence
+from ..culling import CULLINGS
+from ..culling.protocol import Culling
+from ..culling.structures import Structures
+from ..estimators import ESTIMATORS, unrefracted, wavefront
+from ..estimators.protocol import Estimator
+from ..light.illumination import Illumination, illuminate, shadows
+from ..scene import Scene, parameters, read
+
+
+@dataclass
+class Prepared:
+    """A scene that is ready to be rendered.
+
+    scene          the records
+    given          Mitsuba's scene, as it was given
+    accuracy       what the tolerance decides
+    estimator      how light is summed
+    culling        how triangles are found: the class
+    light_samples  light samples per pass of emitters that are not one point or direction
+    cache          for what other renders use, too
+    structures     over the triangles of the scene's boundaries
+    sequence       of random numbers for light samples; None where none must be drawn
+    made           what was made in this render, by keys that need not name the scene, the camera or options
+    """
+
+    scene: Scene
+    given: mi.Scene
+    accuracy: tolerances.Accuracy
+    estimator: Estimator
+    culling: type[Culling]
+    light_samples: int
+    cache: Cache
+    structures: Structures
+    sequence: Sequence | None
+    made: dict = field(default_factory=dict)
+
+    def once(self, make, *key):
+        """What ``make()`` makes in this render at the first use of ``key``."""
+        if key not in self.made:
+            self.made[key] = make()
+        return self.made[key]
+
+    def angle_panels(self, region):
+        """``unrefracted.angle_panels`` of a region's phase function."""
+        return self.once(lambda: unrefracted.angle_panels(region.phase, self.accuracy), "panels", region.index)
+
+    def pace(self, body):
+        """``wavefront.Pace`` for a boundary."""
+        return self.once(wavefront.Pace, "pace", body.index, body.key)
+
+    def parameters(self):
+        """Digest of all that can be changed in the scene."""
+        return self.once(lambda: parameters(self.given), "parameters")
+
+    def shadows(self, body, sample):
+        """``visibility.Shadows`` of a ``LightSample`` at a boundary."""
+        return shadows(self.scene, body, self.structures.records(body), sample, self.accuracy.samples_visibility)
+
+    def lit(self, body, sample, emitter):
+        """``(Shadows, Culling)`` of a ``LightSample`` of an ``Emitter`` at a boundary; the culling is None if nothing is lit. Made once per
+        render where the emitter is one point or direction."""
+
+        def make():
+            found = self.shadows(body, sample)
+            return found, self.culling.of(body, found, self.structures, emitter.drawn)
+
+        return make() if emitter.drawn else self.once(make, "lit", body.index, body.key, emitter.index)
+
+    def illuminated(self, body, region, sample, emitter, wavelengths=None):
+        """``(Illumination, Culling)`` of a ``LightSample`` of an ``Emitter`` at a boundary of a region."""
+        found, culling = self.lit(body, sample, emitter)
+        return self.illumination(body, region, sample, found, wavelengths), culling
+
+    def illumination(self, body, region, sample, shadows, wavelengths=None) -> Illumination:
+        """``Illumination`` of a boundary by a ``LightSample``."""
+        return illuminate(self.scene, body, region, sample, shadows, wavelengths)
+
+
+def prepare(scene, options, cache, seed, straight=False, changes=None):
+    """``Prepared`` for one render of a ``mi.Scene``.
+
+    options   ``options.Options``
+    cache     ``Cache``, whose next round begins
+    seed      () -> seed of random numbers, asked for where lights must be drawn
+    straight  whether light is never refracted
+    changes   fields of ``tolerances.Accuracy`` by name, in place of those that the tolerance decides
+    """
+    cache.next_round()
+    records = read(scene, options.tolerance, cache, straight)
+    estimator = ESTIMATORS[options.estimator]
+    accuracy = replace(tolerances.accuracy(options.tolerance), **(changes or {}))
+    if options.samples:
+        accuracy = replace(accuracy, **{estimator.samples_field: options.samples}, adapts=False)
+    drawn = any(emitter.drawn for emitter in records.emitters)
+    return Prepared(
+        scene=records, given=scene, accuracy=accuracy, estimator=estimator, culling=CULLINGS[options.culling],
+        light_samples=options.light_samples, cache=cache, structures=Structures(records, cache, accuracy),
+        sequence=Sequence(seed()) if drawn else None,
+    )  # fmt: skip
+
+
+__all__ = ["Prepared", "prepare"]

@@ -1,0 +1,119 @@
+"""One pass: a wavefront of camera rays, from the rays to the channels of the image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import film, missing, options, tolerances
+from ..estimators.wavefront import Counts
+from ..scene import region_of_camera
+from ..transport import camera_paths
+from . import messages
+from .prepared import Prepared
+from .single_scattering import Samples
+from .surfaces import shade
+
+
+@dataclass
+class RenderPass:
+    """What all passes of a render share.
+
+    prepared  the scene
+    options   those of the plugin
+    medium    that the sensor names, or None
+    scatter   (prepared, paths, samples, counts, sampler) -> ``Sums``: how the plugin computes single scattering
+    missing   (scene) -> sentences: what the plugin says of light that is not computed in media
+    nested    integrator that shades surfaces
+    messages  where warnings go
+    counts    where the work is counted
+    refracts  whether the plugin solves for light that is refracted
+    whole     whether it is for a whole image
+    """
+
+    prepared: Prepared
+    options: options.Common
+    medium: mi.Medium | None
+    scatter: Callable
+    missing: Callable
+    nested: mi.SamplingIntegrator
+    messages: messages.Messages
+    counts: Counts
+    refracts: bool
+    whole: bool
+
+    def __call__(self, sampler, ray, ray_weight, active, batch, progress):
+        """Radiance (Spectrum), whether rays hit anything (Bool), and the extra channels, of one wavefront.
+
+        sampler     Mitsuba's, for random numbers
+        ray         mi.Ray3f or wider
+        ray_weight  the sensor's; it goes into the channels that show radiance, not into the result
+        active      Bool, which rays count
+        batch       ``core.sobol.Batch``, which camera samples these are
+        progress    (share done) or None
+        """
+        ray, wanted = mi.Ray3f(ray), options.aov_list(self.options)
+        paths = self._trace(ray, active)
+        self._warn(ray, paths)
+        single = self._single_scattering(paths, sampler, ray, batch, progress)
+        unresolved = single.unresolved > dr.opaque(mi.Float, self.options.tolerance) * dr.max(single.value)
+        self.counts.saw(dr.width(ray), unresolved)
+        surfaces, hit = self._surfaces(paths, sampler, ray)
+        extra = {
+            "single_scatter": lambda: film.to_rgb(ray_weight * single.value, ray.wavelengths),
+            "surfaces": lambda: film.to_rgb(
+                ray_weight * surfaces + dr.zeros(mi.Spectrum, dr.width(ray)), ray.wavelengths
+            ),
+            "candidates": lambda: [single.candidates],
+            "contributions": lambda: [single.contributions],
+            "unresolved": lambda: [dr.select(unresolved, mi.Float(1), 0)],
+        }
+        return single.value + surfaces, hit, [x for name in wanted for x in extra[name]()]
+
+    def _tells(self, n):
+        """Whether warnings are worth their time: of a few rays the estimate would cost more than they do."""
+        return self.whole or n >= tolerances.MISSING_PHOTONS
+
+    def _trace(self, ray, active):
+        """The chain of segments of each ray, and its ends."""
+        prepared, opt = self.prepared, self.options
+        start = prepared.once(lambda: region_of_camera(prepared.scene, self.medium, _ends(ray)[0][0]), "start")
+        limits = camera_paths.Limits(opt.internal_bounces, opt.surfaces, prepared.accuracy.weight)
+        return camera_paths.trace(prepared.scene, ray, active, start, limits)
+
+    def _warn(self, ray, paths):
+        """Says what will be missing along the paths."""
+        prepared, scene = self.prepared, self.prepared.scene
+        if self._tells(dr.width(ray)):
+            prepared.once(lambda: self.messages.warn(self.missing(scene)), "missing in media")
+        met = any(region.boundaries and paths.parts[region.index] for region in scene.regions)
+        if self.refracts and met and not prepared.estimator.finds_sent_back:
+            prepared.once(
+                lambda: self.messages.warn(messages.lights_at_the_camera(scene, _ends(ray))), "lights at the camera"
+            )
+
+    def _single_scattering(self, paths, sampler, ray, batch, progress):
+        """``Sums`` of the light that scatters once along the segments."""
+        detail = bool({"candidates", "contributions"} & set(options.aov_list(self.options)))
+        samples = Samples(ray, batch, detail=detail, progress=progress)
+        return self.scatter(self.prepared, paths, samples, self.counts, sampler)
+
+    def _surfaces(self, paths, sampler, ray):
+        """Radiance that the ends of the chains bring, and which rays hit anything. Says what is wrong with it."""
+        if not self.options.surfaces:
+            return mi.Spectrum(0), paths.hit
+        scene, prepared = self.prepared.scene, self.prepared
+        found = shade(self.nested, scene.mi_scene, paths, sampler, ray)
+        if paths.ends and self._tells(dr.width(ray)):
+            prepared.once(lambda: self.messages.warn(missing.on_surfaces(scene, paths.ends)), "missing on surfaces")
+        return found
+
+
+def _ends(ray):
+    """Origins and directions of the first and the last ray, (2, 3) each."""
+    ends = mi.UInt32(0, dr.width(ray) - 1)
+    return [np.array(dr.gather(mi.Vector3f, mi.Vector3f(x), ends)).T for x in (ray.o, ray.d)]

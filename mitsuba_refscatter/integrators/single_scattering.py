@@ -1,0 +1,131 @@
+"""Single scattering of all lights in all regions: which light samples, through which boundaries, onto which segments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import tolerances
+from ..core.sobol import Batch
+from ..estimators import unrefracted, wavefront
+from ..estimators.accumulator import Sums
+from ..light import light_samples
+from ..scene import holds
+from ..transport import visibility
+from ..transport.transmittance import Transmittance
+from .mesh_choice import choose
+
+
+@dataclass
+class Samples:
+    """The camera samples of one wavefront.
+
+    ray       mi.Ray3f
+    batch     which samples these are
+    seed      of random numbers, where the estimator has any
+    detail    whether pairs are counted
+    progress  (share done) or None
+    """
+
+    ray: mi.Ray3f
+    batch: Batch
+    seed: int = 0
+    detail: bool = False
+    progress: object = None
+
+
+def scatter(prepared, paths, samples, counts, refracted=True):
+    """Single scattering along all segments of the camera paths: ``Sums`` per camera sample, with the radiance itself as ``value``.
+
+    prepared   ``Prepared``
+    paths      ``camera_paths.Paths``
+    samples    ``Samples``
+    counts     ``wavefront.Counts`` that the work is added to
+    refracted  whether light that comes through refracting boundaries is summed, too
+    """
+    scene, n = prepared.scene, dr.width(samples.ray)
+    single = Sums.nothing(n, samples.detail)
+    along = [(region, paths.segments(region)) for region in scene.regions if paths.parts[region.index]]
+    shared = prepared.light_samples if prepared.culling.for_one_light else 0
+    shares = light_samples.shares(
+        scene.emitters, prepared.sequence, shared, samples.batch, n, samples.ray.wavelengths
+    ) if along else []  # fmt: skip
+    work = [(*x, share) for share in shares for x in along]
+    for i, (region, segments, share) in enumerate(work):
+        taken = share.of(segments)
+        if taken is None:
+            continue
+        if refracted:
+            run = wavefront.Run(
+                prepared.accuracy, seed=samples.seed + i, detail=samples.detail, progress=samples.progress
+            )
+            counts.add(_refracted(prepared, region, share, taken, single, run.part(i / len(work), (i + 1) / len(work))))
+        if goes_straight(region, share.emitter, taken[1]):
+            _straight(prepared, region, *taken, single)
+    return single.first(n)
+
+
+def _refracted(prepared, region, share, lit, single, run):
+    """Adds light that comes in through the region's refracting boundaries. ``lit``: segments, their light samples and the intensities of
+    these. Returns the ``Counts`` of the work."""
+    segments, sample, value = lit
+    sigma_s, sigma_t = region.coefficients(segments.wavelengths, segments.direction)
+    counts = wavefront.Counts()
+    for boundary in region.boundaries:
+        body = choose(prepared, boundary, region, share, segments, sigma_t)
+        illumination, culling = prepared.illuminated(body, region, sample, share.emitter, segments.wavelengths)
+        if culling is None:
+            continue
+        run.pace = prepared.pace(body)
+        local = segments.from_boundary(body.centre, sigma_t)
+        sums, more = wavefront.scatter(local, culling, illumination, prepared.estimator, run)
+        counts.add(more)
+        tint = body.tint("specular_transmittance", segments.wavelengths)
+        single.add_all(sums, segments.weight * sigma_s * value * tint, segments.sample)
+    return counts
+
+
+def goes_straight(region, emitter, sample):
+    """Whether light may come to where it is scattered in a region without refraction."""
+    if region.admits or sample.distant:
+        return region.admits
+    if region.body is None:
+        return True
+    if dr.width(sample.L) == 1:
+        return holds(region.body, np.array(sample.L).ravel())
+    low, high = region.body.box
+    return bool((emitter.box[0] <= high).all() and (emitter.box[1] >= low).all())
+
+
+def _straight(prepared, region, segments, sample, value, single):
+    """Adds light that comes straight."""
+    scene = prepared.scene
+    sigma_s, sigma_t = region.coefficients(segments.wavelengths, segments.direction)
+    at = region.body.centre if region.body is not None else [0.0, 0.0, 0.0]
+    centre = dr.opaque(mi.Point3f, at)
+    transmittance, start = Transmittance(scene, segments.wavelengths), dr.opaque(mi.UInt32, region.index)
+
+    def way(V, direction, distance, active):
+        length = distance if sample.distant else distance * (1 - tolerances.SHADOW_END)
+        return transmittance.follow(mi.Point3f(V) + centre, direction, length, start, active)
+
+    free = dr.width(sample.L) == 1 and not region.admits and _nothing_between(scene, region)
+    lit = unrefracted.Unrefracted(
+        light=sample.local(centre), emission=sample.emission(centre, segments.wavelengths), phase=region.phase,
+        directed=region.directed, way=None if free else way,
+    )  # fmt: skip
+    angles = 0 if sample.distant else prepared.angle_panels(region)
+    total = unrefracted.scatter(segments.off_boundary(at, sigma_t), lit, prepared.accuracy, angles)
+    dr.scatter_add(single.value, segments.weight * sigma_s * value * total, segments.sample)
+    single.eval()
+
+
+def _nothing_between(scene, region):
+    """Whether any two points of a region see each other."""
+    if region.body is None:
+        return not scene.bodies and not scene.others
+    others = scene.others + [body.shape for body in scene.bodies if body is not region.body]
+    return region.body.convex and not any(visibility.meets(region.body, shape) for shape in others)
