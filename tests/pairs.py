@@ -19,6 +19,8 @@ from mitsuba_refscatter.culling.bundles import bundles_of
 from mitsuba_refscatter.estimators import wavefront
 from mitsuba_refscatter.estimators.accumulator import Sums
 from mitsuba_refscatter.geometry import bvh
+from mitsuba_refscatter.integrators.prepared import prepare
+from mitsuba_refscatter.light import light_samples
 from mitsuba_refscatter.options import Options
 from mitsuba_refscatter.transport.segments import LocalSegments
 
@@ -204,17 +206,23 @@ class Culling:
     """What the package makes of a scene with one body and one light; where things are estimated, they are found exactly
     instead."""
 
-    def __init__(self, scene, **options):
-        from mitsuba_refscatter.integrators.lit import Prepared  # made anew for each variant
-
-        exact = {"samples_visibility": False, "coarse": 0.0}
-        self.prepared = Prepared(scene, Options(**options), lambda: 0, Cache(), changes=exact)
-        self.body, light = self.prepared.scene.bodies[0], self.prepared.scene.lights[0]
-        self.illumination, self.culling = self.prepared.lit(self.body, self.prepared.scene.regions[0], light.exact)
+    def __init__(self, scene, accuracy=None, **options):
+        exact = {"samples_visibility": False, "coarse": 0.0, **(accuracy or {})}
+        self.prepared = prepare(scene, Options(**options), Cache(), lambda: 0, changes=exact)
+        self.body, (emitter,) = self.prepared.scene.bodies[0], self.prepared.scene.emitters
+        region, sample = self.prepared.scene.regions[0], light_samples.exact(emitter)
+        self.illumination, self.culling = self.prepared.illuminated(self.body, region, sample, emitter)
 
     def segments(self, o, d, t_max):
         o, d = (np.asarray(x, np.float32).T for x in (o - self.body.centre, d))
         return LocalSegments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max.astype(np.float32)), mi.Spectrum(SIGMA))
+
+    def scatter(self, segments, illumination=None, estimator=None, **run):
+        """``wavefront.scatter`` along segments: its sums and counts."""
+        return wavefront.scatter(
+            segments, self.culling, illumination or self.illumination, estimator or self.prepared.estimator,
+            wavefront.Run(self.prepared.accuracy, **run),
+        )  # fmt: skip
 
     def work(self, segments, **changes):
         """The stages of the wavefront, with nothing summed yet."""

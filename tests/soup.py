@@ -63,30 +63,31 @@ class Soup:
         normals = np.stack([patch.n, patch.n + patch.m1, patch.n + patch.m2], 1)
         self.records = mi.Float(triangle.pack(corners, normals, patch.ng))
 
-    def plausible(self, pairs, segment, light):
+    def plausible(self, pairs, segment, incidence):
         return dr.full(mi.Bool, True, len(pairs))
 
-    def take(self, pairs, light, active=True):
+    def take(self, pairs, incidence, active=True):
         tri = triangle.gather(self.records, pairs.beam, active)
         place = pairs.place(mi.Float(0), mi.Float(0), mi.Float(1))
-        piece = beam.piece_at(tri, light, *place)
+        piece = beam.piece_at(tri, incidence, *place)
         return Taken(tri, piece, pairs.code is not None, None, mi.Bool(False), mi.Bool(False))
 
     def triangle_of(self, pairs):
         return pairs.beam
 
 
-class Roots:
+class Roots(point.Point):
     """In place of an estimator: keeps the roots instead of summing what they bring."""
 
-    classify, needs_fine = staticmethod(point.classify), point.needs_fine
+    def queries(self, *_):
+        return None
 
     def __init__(self):
         self.found, self.statuses, self.evaluations = [], np.zeros(len(newton.Status), int), np.zeros(64, int)
 
     def accumulate(self, sums, pairs, segments, culling, illumination, accuracy):
         illumination = illumination.at(pairs.segment)
-        taken = culling.take(pairs, illumination.light)
+        taken = culling.take(pairs, illumination)
         solution, _, valid = point.roots(taken, segments.gather(pairs.segment), illumination)
         u, v = (taken.piece.h * x + x0 for x, x0 in zip(solution.x, (taken.piece.u0, taken.piece.v0)))
         dr.eval(u, v, valid, solution.status, solution.iterations)
@@ -116,7 +117,7 @@ def solve(case, eta, tolerance=0.01):
     n, roots = len(case.V), Roots()
     light = mi.Point3f(np.asarray(case.light, np.float32).T)
     illumination = Illumination(
-        LocalLight(light, dr.opaque(mi.Float, eta)), int(np.sign(eta - 1)), isotropic, None, None
+        LocalLight(light), dr.opaque(mi.Float, eta), int(np.sign(eta - 1)), isotropic, None, None
     )
     segments = points_as_segments(case.V)
     work = wavefront.Work(Sums.nothing(n), segments, None, Soup(case.patch), illumination,

@@ -11,7 +11,6 @@ from pairs import chords, one_body
 from mitsuba_refscatter import tolerances
 from mitsuba_refscatter.core.cache import Cache, fingerprint
 from mitsuba_refscatter.culling import beams, bundles
-from mitsuba_refscatter.estimators import wavefront
 
 LIGHT = np.array([-2.6, 2.4, -0.9])
 
@@ -34,8 +33,7 @@ def test_bundles_find_what_segments_find(rgb, tmp_path, monkeypatch, spacing):
     rays = tuple(x[:-1] for x in neighbours(mesh, rng, spacing))  # the last bundle is not full
 
     def scattered():
-        sums, counts = wavefront.scatter(culling.segments(*rays), culling.culling, culling.illumination,
-                                         culling.prepared.accuracy, culling.prepared.estimator)  # fmt: skip
+        sums, counts = culling.scatter(culling.segments(*rays))
         return np.array(sums.value), counts.leaves
 
     together, leaves = scattered()
@@ -126,8 +124,7 @@ def test_memory_follows_the_buffer_not_the_work(rgb, tmp_path, monkeypatch, coun
     backend = dr.backend_v(mi.Float)
 
     def leaves():
-        parts = culling.culling, culling.illumination, culling.prepared.accuracy, culling.prepared.estimator
-        sums, counts = wavefront.scatter(segments, *parts)
+        sums, counts = culling.scatter(segments)
         dr.eval(sums.value)
         dr.sync_thread()
         return counts.leaves

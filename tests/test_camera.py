@@ -1,5 +1,7 @@
 """The chain of segments that camera rays run along inside bodies, and their weights."""
 
+from types import SimpleNamespace
+
 import build
 import drjit as dr
 import mitsuba as mi
@@ -13,6 +15,7 @@ from mitsuba_refscatter import tolerances
 from mitsuba_refscatter.core.cache import Cache
 from mitsuba_refscatter.scene import NONE, SceneError, read
 from mitsuba_refscatter.transport import camera_paths
+from mitsuba_refscatter.transport.camera_refusals import refuse_overlaps
 
 CAMERA = (0.0, 1.1, 5.2)
 SAME = 1e-2
@@ -46,7 +49,7 @@ def scene(bodies, folder, **properties):
 
 def trace(scene, o, d, internal_bounces, surfaces=False, min_weight=0.0):
     ray = mi.Ray3f(mi.Point3f(o.astype(np.float32).T), mi.Vector3f(d.astype(np.float32).T))
-    return camera_paths.trace(scene, ray, True, NONE, internal_bounces, surfaces, min_weight)
+    return camera_paths.trace(scene, ray, True, NONE, camera_paths.Limits(internal_bounces, surfaces, min_weight))
 
 
 def segments(paths):
@@ -203,9 +206,9 @@ def test_rays_that_are_not_active_are_left_out(rgb, tmp_path):
     found, (o, d) = scene(bodies("convex"), tmp_path), build.rays_at(CAMERA, 0.9, 40, seed=6)
     ray = mi.Ray3f(mi.Point3f(o.astype(np.float32).T), mi.Vector3f(d.astype(np.float32).T))
     odd = dr.arange(mi.UInt32, 40) % 2 == 1
-    some = camera_paths.trace(found, ray, odd, NONE, 2, True, 0.0)
+    some = camera_paths.trace(found, ray, odd, NONE, camera_paths.Limits(2, True, 0.0))
     assert set(segments(some).ray % 2) == {1} and not some.hit.numpy()[::2].any() and some.hit.numpy()[1::2].all()
-    none = camera_paths.trace(found, ray, mi.Bool(False), NONE, 2, True, 0.0)
+    none = camera_paths.trace(found, ray, mi.Bool(False), NONE, camera_paths.Limits(2, True, 0.0))
     assert not any(none.parts) and not none.ends
 
 
@@ -282,9 +285,10 @@ def test_a_missed_crossing_between_nested_bodies_is_no_overlap(rgb, nested):
     found = read(mi.load_dict(parts, optimize=False), 0.01, Cache())
     outer, inner = sorted(found.bodies, key=lambda body: body.eta)
     leg = camera_paths.Legs(mi.Point3f(0, 0, 0.1), mi.Vector3f(1, 0, 0), mi.Spectrum(1), mi.UInt32(0), mi.UInt32(inner.inside), 0, 0, mi.Vector3f(0))  # fmt: skip
-    arguments = found, leg, mi.Float(0.02), mi.UInt32(outer.index), mi.Bool(True)
+    hit = SimpleNamespace(pi=SimpleNamespace(t=mi.Float(0.02)), target=mi.UInt32(outer.index))
+    arguments = found, leg, hit, mi.Bool(True)
     if nested:
-        camera_paths._refuse_overlaps(*arguments)
+        refuse_overlaps(*arguments)
     else:
         with pytest.raises(SceneError, match="overlaps"):
-            camera_paths._refuse_overlaps(*arguments)
+            refuse_overlaps(*arguments)

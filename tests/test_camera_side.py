@@ -9,6 +9,8 @@ from meshes import Mesh, box
 from mitsuba_refscatter.core.cache import Cache
 from mitsuba_refscatter.scene import NONE, SceneError, read, region_of_camera
 from mitsuba_refscatter.transport import camera_paths
+from mitsuba_refscatter.transport.camera_refusals import refuse_other_medium
+from mitsuba_refscatter.transport.crossing import Hit
 
 UP, DOWN, SIDEWAYS = (0.1, 1, 0.2), (0.1, -1, 0.2), (1, 0, 0)
 CUBE = box([-1] * 3, [1] * 3)
@@ -38,7 +40,9 @@ def follow(scene, o, d, medium=None):
     """Segments of camera rays o, d (n, 3) in a scene, whose sensor names a medium: sum of weight times length."""
     found = read(scene, 0.01, Cache())
     ray = mi.Ray3f(*(kind(np.asarray(x, np.float32).T) for kind, x in ((mi.Point3f, o), (mi.Vector3f, d))))
-    paths = camera_paths.trace(found, ray, True, region_of_camera(found, medium, o[0]), 1, False, 0.0)
+    paths = camera_paths.trace(
+        found, ray, True, region_of_camera(found, medium, o[0]), camera_paths.Limits(1, False, 0.0)
+    )
     found = [np.array(part.weight) * np.array(part.length) for parts in paths.parts for part in parts]
     return float(sum(x.sum() for x in found))
 
@@ -156,11 +160,12 @@ def test_a_ray_that_slips_into_a_closed_body(make, inside):
     leg = camera_paths.Legs(mi.Point3f(0, 0, 0.5 if inside else 3), mi.Vector3f(0, 0, -1), mi.Spectrum(1), mi.UInt32(0),
                       mi.UInt32(NONE), mi.UInt32(0), mi.UInt32(0), mi.Vector3f(0))  # fmt: skip
     yes, zero = mi.Bool(True), mi.UInt32(0)
-    met = camera_paths.Met(None, yes, zero, yes, None, yes, mi.UInt32(found.bodies[0].inside), yes)
+    region = mi.UInt32(found.bodies[0].inside)
+    hit = Hit(pi=None, valid=yes, target=zero, boundary=yes, tri=None, leaving=yes, near=region, behind=region)
     if not inside:
-        return camera_paths._refuse_other_medium(found, leg, met)
+        return refuse_other_medium(found, leg, hit, yes)
     with pytest.raises(SceneError, match='"ball" .*inside by 100 %'):
-        camera_paths._refuse_other_medium(found, leg, met)
+        refuse_other_medium(found, leg, hit, yes)
 
 
 def test_a_body_that_touches_the_one_around_the_camera(make):

@@ -9,11 +9,14 @@ from meshes import Mesh, icosphere, triangle_grid
 
 from mitsuba_refscatter import example_scenes
 from mitsuba_refscatter.core.cache import ChoiceKey, LevelsKey
+from mitsuba_refscatter.culling import beams
 from mitsuba_refscatter.example_scenes import bodies
 from mitsuba_refscatter.geometry import decimation
 from mitsuba_refscatter.geometry import mesh as mesh_facts
-from mitsuba_refscatter.integrators import lit, mesh_choice
+from mitsuba_refscatter.integrators import mesh_choice
+from mitsuba_refscatter.light import simplification
 from mitsuba_refscatter.options import Options
+from mitsuba_refscatter.transport import visibility
 
 
 def euler(faces):
@@ -108,7 +111,7 @@ def test_nothing_is_estimated_where_exact(rgb, tmp_path, monkeypatch):
         original = getattr(owner, name)
         monkeypatch.setattr(owner, name, lambda *arguments: done.add(name) or original(*arguments))
 
-    for owner, name in ((lit.coarse, "levels"), (lit, "estimate"), (lit.visibility.Shadows, "_seen_at_samples")):
+    for owner, name in ((simplification, "levels"), (beams, "estimate"), (visibility.Shadows, "_seen_at_samples")):
         noting(owner, name)
     shape = build.mesh_shape(Mesh(*bodies.bumpy_sphere(1280)), tmp_path / "m.ply")
     scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light((-2.6, 2.4, -0.9))})

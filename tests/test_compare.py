@@ -15,6 +15,7 @@ from test_cli import SPHERE, assert_one_sentence, needs_variant, refscatter
 
 from mitsuba_refscatter import example_scenes, platform
 from mitsuba_refscatter.benchmarks import duel, methods, race, suite
+from mitsuba_refscatter.integrators.hooks import Hooks
 
 QUICK = ("--seconds", 0.1, "-D", "res=16", "-D", "spp=1")
 
@@ -176,8 +177,7 @@ def test_passes_grow_whatever_the_sampler(rgb, sampler):
         return sizes[len(seen) - 1]
 
     expected = np.array(integrator.render(scene, sensor, spp=64))
-    integrator.watch = watch
-    found = np.array(integrator.render(scene, sensor, spp=1 << 20))
+    found = np.array(integrator.render(scene, sensor, spp=1 << 20, hooks=Hooks(watch=watch)))
     assert seen == [1, 2, 4, 9, 17]
     assert np.abs(found - expected).sum() < 0.1 * expected.sum() and found.sum() == pytest.approx(
         expected.sum(), rel=0.01

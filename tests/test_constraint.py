@@ -8,7 +8,7 @@ import pytest
 from meshes import Patch, dot, norm, unit
 
 from mitsuba_refscatter.geometry.triangle import Triangle
-from mitsuba_refscatter.optics import LocalLight
+from mitsuba_refscatter.optics import Incidence, LocalLight
 from mitsuba_refscatter.solve.constraint import connect
 
 N = 400
@@ -38,7 +38,7 @@ def numbers(x):
 
 def connection(patch, light, eta, V, d, uv):
     u, v = (mi.Float64(np.ascontiguousarray(x)) for x in uv.T)
-    return connect(triangle(patch), LocalLight(double(light), eta), double(V), double(d), u, v)
+    return connect(triangle(patch), Incidence(LocalLight(double(light)), eta), double(V), double(d), u, v)
 
 
 def half_vector(c, eta):

@@ -1,5 +1,7 @@
 """Culling loses nothing that contributes, looks at little in vain, and its proofs of visibility hold."""
 
+from types import SimpleNamespace
+
 import build
 import mitsuba as mi
 import numpy as np
@@ -14,10 +16,9 @@ from test_accuracy import read_mesh
 from mitsuba_refscatter import example_scenes, tolerances
 from mitsuba_refscatter.culling import beam
 from mitsuba_refscatter.culling import beams as light_beams
-from mitsuba_refscatter.estimators import wavefront
 from mitsuba_refscatter.geometry import mesh as mesh_facts
 from mitsuba_refscatter.geometry import silhouette
-from mitsuba_refscatter.optics import LocalLight
+from mitsuba_refscatter.optics import Incidence, LocalLight
 
 LOST = 1e-5
 """Largest share of a body's light that may come from pairs that the culling drops: the rounding of float32."""
@@ -181,9 +182,7 @@ def test_beams_are_free_as_far_as_said(rgb, tmp_path, name, eta):
 def scattered(culling, o, d, t_max):
     """The sums along the segments, and after what part of them each chunk ended."""
     ends = []
-    sums, _ = wavefront.scatter(culling.segments(o, d, t_max), culling.culling, culling.illumination,
-                                   culling.prepared.accuracy, culling.prepared.estimator,
-                                   progress=lambda done, total: ends.append(done / total))  # fmt: skip
+    sums, _ = culling.scatter(culling.segments(o, d, t_max), progress=ends.append)
     return np.array(sums.value).T, ends
 
 
@@ -220,26 +219,14 @@ def test_no_lit_triangles(rgb, tmp_path):
     o, d = build.rounded(np.array([[3.0, 0.02, -2.01]])), np.array([[-1.0, 0, 0]])
     assert (build.single_scattering(scene, o, d, internal_bounces=0) == 0).all()
     culling = Culling(scene)
-    body, records = culling.body, culling.prepared.scene.records
-    order = light_beams.order_of(body)
-    from_inside = light_beams.build(
-        body,
-        records,
-        order,
-        LocalLight(mi.Point3f(0), mi.Float(1.5)),
-        0.1,
-        lambda triangles: pytest.fail("none is lit"),
-        None,
-    )
-    unseen = light_beams.build(
-        body,
-        records,
-        order,
-        LocalLight(mi.Point3f(9), mi.Float(1.5)),
-        0.1,
-        lambda triangles: (mi.UInt32(), mi.Bool()),
-        None,
-    )
+    body, structures = culling.body, culling.prepared.structures
+
+    def beams(light, seen):
+        shadows = SimpleNamespace(incidence=Incidence(LocalLight(mi.Point3f(light)), mi.Float(1.5)), seen=seen)
+        return light_beams.build(body, shadows, structures)
+
+    from_inside = beams(0, lambda triangles: pytest.fail("none is lit"))
+    unseen = beams(9, lambda triangles: (mi.UInt32(), mi.Bool()))
     assert from_inside is None and unseen is None
 
 

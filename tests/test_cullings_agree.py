@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from meshes import BoxTree, bumpy_sphere, make_patches, take
 from pairs import chords, one_body, random_case
 
-from mitsuba_refscatter.estimators import curve, interval, point, wavefront
+from mitsuba_refscatter.estimators import ESTIMATORS
 from mitsuba_refscatter.optics import LocalLight
+
+SAMPLES = {"interval_samples": 16, "point_samples": 16, "adapts": False}
 
 SAME = 1e-3
 """Distance in (u, v) within which two roots are the same."""
@@ -26,7 +28,7 @@ def roots_for(mesh, eta, light, folder, culling, V):
     made = one_body(mesh, eta, light, folder, culling=culling, estimator="point")
     segments = soup.points_as_segments(V - made.body.centre)
     roots = soup.Roots()
-    wavefront.scatter(segments, made.culling, made.illumination, made.prepared.accuracy, roots)
+    made.scatter(segments, estimator=roots)
     if not roots.found:
         return np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2))
     segment, tri, uv = roots.all()
@@ -77,7 +79,7 @@ def bumpy(rgb, tmp_path):
     o, d, t_max = chords(mesh, np.random.default_rng(6), 300)
 
     def made(culling):
-        return [one_body(mesh, 1.5, light, tmp_path, culling=culling, tolerance=0.0, samples=16) for light in LIGHTS]
+        return [one_body(mesh, 1.5, light, tmp_path, culling=culling, tolerance=0.0, accuracy=SAMPLES) for light in LIGHTS]
 
     return made, (o, d, t_max)
 
@@ -86,15 +88,15 @@ def per_segment(lights, choice):
     """The illumination in which each segment has the light of its choice."""
     first = lights[0].illumination
     L = np.array([np.array(made.illumination.light.L)[:, 0] for made in lights])[choice]
-    return replace(first, light=LocalLight(mi.Point3f(L.T), first.eta))
+    return replace(first, light=LocalLight(mi.Point3f(L.T)))
 
 
 def summed(made, segments, illumination, estimator, **more):
-    sums, _ = wavefront.scatter(segments, made.culling, illumination, made.prepared.accuracy, estimator, **more)
+    sums, _ = made.scatter(segments, illumination, ESTIMATORS[estimator], **more)
     return np.array(sums.value).T
 
 
-@pytest.mark.parametrize("estimator", [curve, interval, point], ids=lambda m: m.__name__.rpartition(".")[2])
+@pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_one_light_point_per_segment(bumpy, estimator):
     """By spindles each segment may have its own light point: the same as each light alone by beams."""
     made, rays = bumpy
@@ -108,7 +110,7 @@ def test_one_light_point_per_segment(bumpy, estimator):
     # Beams are cut into parts in advance, and intervals with them.
     error = l1(mixed, expected)
     print(f"{error:.1e}")
-    assert error < (1e-3 if estimator is interval else 1e-4)
+    assert error < (1e-3 if estimator == "interval" else 1e-4)
 
 
 def test_beams_refuse_one_light_point_per_segment(bumpy):
@@ -116,4 +118,4 @@ def test_beams_refuse_one_light_point_per_segment(bumpy):
     beams = made("beams")
     segments = beams[0].segments(*rays)
     with pytest.raises(ValueError, match='culling "beams" is made for one light point.*use "spindle"'):
-        summed(beams[0], segments, per_segment(beams, np.arange(len(rays[0])) % 3), curve)
+        summed(beams[0], segments, per_segment(beams, np.arange(len(rays[0])) % 3), "curve")

@@ -13,8 +13,6 @@ from extremes import bumps
 from meshes import BoxTree, dot, fresnel_reflectance, icosphere, make_patches, take, unit
 from pairs import one_body
 
-from mitsuba_refscatter.estimators import wavefront
-
 LINES = 56
 PIECE = 0.1
 """Length of segments along which what the camera's way absorbs is told apart to second order."""
@@ -75,9 +73,7 @@ def test_power(rgb, tmp_path, mesh, eta, sigma_t):
         o, d, length, area = segments_through(mesh, direction)
         segments = made.segments(o, d, length)
         segments.sigma_t = mi.Spectrum(sigma_t)
-        sums, _ = wavefront.scatter(
-            segments, made.culling, made.illumination, made.prepared.accuracy, made.prepared.estimator
-        )
+        sums, _ = made.scatter(segments)
         fluence = 4 * np.pi * np.array(sums.value)[0]  # isotropic scattering
         x = sigma_t * length
         stayed.append(sigma_t * area * (fluence * x / -np.expm1(-x)).sum())

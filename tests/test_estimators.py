@@ -153,10 +153,10 @@ def test_sample_points_of_segments(rgb, n):
     d = rng.normal(size=(3, count))
     d /= np.linalg.norm(d, axis=0)
     segments = LocalSegments(mi.Point3f(o), mi.Vector3f(d), mi.Float(t_max), mi.Spectrum(sigma_t))
-    illumination = Illumination(LocalLight(mi.Point3f(L), mi.Float(1.5)), 1, None, None, None)
+    illumination = Illumination(LocalLight(mi.Point3f(L)), mi.Float(1.5), 1, None, None, None)
     total = np.zeros((3, count))
     for first in (0, n // 2):
-        index, points, weight = point.queries(segments, illumination, first, n // 2, n, seed=7)
+        index, points, weight = point.sample_points(segments, illumination, first, n // 2, n, seed=7)
         index, along = (
             np.array(index),
             np.einsum("in,in->n", np.array(points.o) - o[:, np.array(index)], d[:, np.array(index)]),

@@ -8,31 +8,36 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "mitsuba_refscatter"
 
-# Modules and subpackages from the ground up. What uses Mitsuba only to describe a machine
-# or to write a file (platform, output) knows nothing of the others.
-ORDER = [
-    "spelling", "platform", "tolerances", "optics", "lanes", "kept", "sequence", "geometry", "scene", "transport", "missing", "visibility", "air", "solve",
-    "culling",
-    "estimators", "wavefront", "camera", "options", "film", "integrators", "probing", "plugin", "scenes", "output",
-    "compare", "meshcheck", "console", "comparing", "measuring", "cli", "__main__",
+# Modules and subpackages from the ground up: the layout of the house. What uses Mitsuba only to describe a machine or to write a file
+# (platform, image_io) knows nothing of the others.
+CORE = [
+    "tolerances", "core", "platform", "optics", "geometry", "scene", "transport", "light", "missing", "solve", "culling",
+    "estimators", "options", "film", "integrators", "plugin",
 ]  # fmt: skip
 
-TOOLS = {"scenes", "output", "compare", "meshcheck", "console", "comparing", "measuring", "cli", "__main__"}
-"""They load scenes, change them and render them with other integrators."""
+TOOLS = ["probing", "example_scenes", "image_io", "benchmarks", "commands", "__main__"]
+"""They load scenes, change them and render them, with other integrators, too."""
+
+ORDER = CORE + TOOLS
+
+LONGEST = 9
+"""Modules or folders in the longest chain of imports of the core, its ends included."""
 
 TRACING = {"ray_intersect_preliminary", "ray_test"}
 
 ASKS = {
-    "air.py": {"ray_intersect_preliminary"},
-    "camera.py": {"ray_intersect_preliminary", "compute_surface_interaction", "bsdf"},  # the latter two of mirrors
-    "missing/walk.py": {"ray_intersect_preliminary", "compute_surface_interaction"},
-    "visibility.py": {*TRACING, "bbox"},  # of what may be in the way
     "integrators/refscatter.py": {"sensors"},
+    "missing/walk.py": {"compute_surface_interaction"},
+    "light/simplification.py": {"ray_intersect_preliminary"},
+    "light/light_samples.py": {"sample_position"},
     "probing/__init__.py": {"ray_intersect_preliminary", "sensors"},
+    "transport/crossing.py": {"ray_intersect_preliminary", "compute_surface_interaction", "bsdf"},  # the latter two of mirrors
+    "transport/transmittance.py": {"ray_intersect_preliminary"},
+    "transport/visibility.py": {*TRACING, "bbox"},  # of what may be in the way
 }
 """What modules of the renderer but ``scene/`` ask scenes, shapes and media of Mitsuba's for."""
 
-HANDS_ON = {"integrators/refscatter.py"}
+HANDS_ON = {"integrators/render_pass.py"}
 """Who gives Mitsuba's scene to others: to the nested integrator."""
 
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
@@ -65,6 +70,28 @@ def test_imports_run_one_way(path):
         assert ORDER.index(name) < ORDER.index(own), f"{own} imports {name}, which stands above it"
 
 
+def test_tools_stay_out_of_the_core():
+    """The core imports none of them, wherever in a file."""
+    for path in MODULES:
+        own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        if own in CORE:
+            assert not set(imported(path)) & set(TOOLS), path
+
+
+def test_chains_of_imports_are_short():
+    """From the plugin to the ground."""
+    needs = {name: set() for name in CORE}
+    for path in MODULES:
+        own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        if own in CORE:
+            needs[own] |= set(imported(path)) - {own}
+    chains = {}
+    for name in CORE:  # each after what it needs
+        chains[name] = max((chains[other] for other in needs[name]), key=len, default=[]) + [name]
+    longest = max(chains.values(), key=len)
+    assert len(longest) <= LONGEST, " -> ".join(longest)
+
+
 def test_the_package_itself_only_registers():
     """But for ``probe``, which is imported when it is asked for."""
     assert set(imported(PACKAGE / "__init__.py")) <= {"plugin", "probing"}
@@ -84,7 +111,7 @@ def of_the_renderer():
     """Names and trees of the modules that must not read scenes."""
     for path in MODULES:
         parts = path.relative_to(PACKAGE).parts
-        if parts[0].removesuffix(".py") not in TOOLS | {"scene"}:
+        if parts[0].removesuffix(".py") not in {*TOOLS, "scene"} - {"probing"}:
             yield "/".join(parts), ast.parse(path.read_text(encoding="utf-8"))
 
 

@@ -12,7 +12,10 @@ from test_same_again import assert_same
 
 from mitsuba_refscatter import options
 from mitsuba_refscatter.core.cache import Cache
-from mitsuba_refscatter.integrators import lit, mesh_choice
+from mitsuba_refscatter.integrators import mesh_choice, single_scattering
+from mitsuba_refscatter.integrators.hooks import Hooks
+from mitsuba_refscatter.integrators.prepared import prepare
+from mitsuba_refscatter.light import light_samples
 
 LAMP = (-2.6, 2.4, -0.9)
 
@@ -47,21 +50,21 @@ def ball(rgb, tmp_path):
 @pytest.fixture
 def render(monkeypatch):
     """``render(integrator, scene, sensor)``: the image, and of each coarse mesh in use the number of its triangles."""
-    instead, taken = lit.Prepared.instead, []
+    choose, taken = single_scattering.choose, []
 
-    def seen(self, body, *rest):
-        found = instead(self, body, *rest)
+    def seen(prepared, body, *rest):
+        found = choose(prepared, body, *rest)
         assert found is body or (found.stands_for is body and found.triangle_count < 0.2 * body.triangle_count)
         if found.stands_for is not None:
             taken.append(found.triangle_count)
         return found
 
-    def render(integrator, scene, sensor=0):
+    def render(integrator, scene, sensor=0, hooks=None):
         taken.clear()
-        image = np.array(integrator.render(scene, sensor, seed=1, spp=1), dtype=np.float64)
+        image = np.array(integrator.render(scene, sensor, seed=1, spp=1, hooks=hooks), dtype=np.float64)
         return image, list(taken)
 
-    monkeypatch.setattr(lit.Prepared, "instead", seen)
+    monkeypatch.setattr(single_scattering, "choose", seen)
     return render
 
 
@@ -115,8 +118,8 @@ def test_the_coarse_mesh_follows_the_scene(ball, render, monkeypatch):
 def test_the_coarse_mesh_follows_the_accuracy(ball, render):
     scene, one, fresh = ball(), refscatter(), refscatter()
     _, levels = render(one, scene)
-    one.changes = fresh.changes = {"coarse": 0.3}
-    (image, found), (expected, wanted) = render(one, scene), render(fresh, scene)
+    rough = Hooks(accuracy={"coarse": 0.3})
+    (image, found), (expected, wanted) = render(one, scene, hooks=rough), render(fresh, scene, hooks=rough)
     assert found == wanted != levels
     assert_same(image, expected)
 
@@ -182,15 +185,16 @@ def test_nothing_is_kept_of_points_that_are_drawn(rgb, tmp_path):
     """They are others in each pass: to keep their light beams would take memory without end."""
     lamp = {"type": "sphere", "center": [0, 0, 3], "emitter": {"type": "area"}}
     body = build.mesh_shape(bumpy_sphere(2, 0.2), tmp_path / "m.ply")
-    prepared = lit.Prepared(
-        mi.load_dict({"type": "scene", "body": body, "lamp": lamp}), options.Options(), lambda: 0, Cache()
-    )
-    (region,), (light,) = prepared.scene.regions, prepared.scene.lights
+    scene = mi.load_dict({"type": "scene", "body": body, "lamp": lamp})
+    prepared = prepare(scene, options.Options(), Cache(), lambda: 0)
+    (region,), (emitter,) = prepared.scene.regions, prepared.scene.emitters
     counts = []
     for x in (0.3, 0.5, 0.7):
-        point = light.draw(mi.Point2f(x, 0.98), 1.0)
-        assert prepared.lit(region.boundaries[0], region, point, drawn=True)[1] is not None
+        point = light_samples.draw(emitter, mi.Point2f(x, 0.98), 1.0)
+        assert prepared.illuminated(region.boundaries[0], region, point, emitter)[1] is not None
         counts.append(len(prepared.cache._now))
     assert counts[0] > 0 and len(set(counts)) == 1
-    prepared.lit(region.boundaries[0], region, replace(point, shape=None))
+    prepared.illuminated(
+        region.boundaries[0], region, replace(point, shape=None), replace(emitter, place=point.local(mi.Point3f(0)))
+    )
     assert len(prepared.cache._now) == counts[0] + 1

@@ -15,6 +15,7 @@ from meshes import bumpy_sphere
 from test_real_scenes import ball_light, panel, spot, sun
 
 from mitsuba_refscatter.estimators import photons
+from mitsuba_refscatter.integrators.hooks import Hooks
 
 pytestmark = pytest.mark.usefixtures("rgb")
 
@@ -186,8 +187,7 @@ def test_a_progressive_render_comes_nearer(tmp_path, mode):
         errors.append(l1(np.array(image), expected))
         return 1 if samples < 24 else 0
 
-    integrator.watch = watch
-    integrator.render(scene, spp=1000)
+    integrator.render(scene, spp=1000, hooks=Hooks(watch=watch))
     print(errors[0], errors[-1])
     assert len(errors) == 24 and errors[-1] < 0.5 * errors[0]
 

@@ -10,10 +10,10 @@ PACKAGE = Path(__file__).parent.parent / "mitsuba_refscatter"
 HOMES = ("tolerances/", "options.py")
 """Where thresholds, and defaults and ranges of options, stand."""
 
-TOOLS = ("compare/", "probing/", "comparing.py", "console.py", "measuring.py", "output.py", "platform.py", "cli.py")
+TOOLS = ("benchmarks/", "commands/", "probing/", "image_io.py", "platform.py")
 """What measures, draws and writes. Its own settings have a name too, at the head of a module or as the default of an option."""
 
-SHAPES = ("scenes/",)
+SHAPES = ("example_scenes/",)
 """Bodies and scenes made by code: their numbers are lengths and places."""
 
 DIVISOR = 1e-30
@@ -23,7 +23,7 @@ SMALL, LARGE = 0.05, 1e5
 """Numbers whose size is below or above look like thresholds."""
 
 NAMED = {
-    ("air.py", "BLOCKED"): "an index that means none",
+    ("transport/transmittance.py", "BLOCKED"): "an index that means none",
     ("culling/beam.py", "BEAM"): "numbers of a record",
     ("culling/beam_tree.py", "NODE"): "numbers of a record",
     ("culling/clearance.py", "NODE"): "numbers of a record",
@@ -34,23 +34,23 @@ NAMED = {
     ("geometry/geodesic.py", "_GOLDEN"): "the golden ratio",
     ("geometry/triangle.py", "PATCH"): "numbers of a record",
     ("geometry/triangle.py", "RECORD"): "numbers of a record",
-    ("lanes.py", "ALIGNMENT"): "Dr.Jit's",
-    ("lanes.py", "NONE"): "an index that means none",
+    ("core/arrays.py", "ALIGNMENT"): "Dr.Jit's",
+    ("core/arrays.py", "NONE"): "an index that means none",
     ("scene/__init__.py", "ONCE"): "two counts in one number",
-    ("scene/coarse.py", "QUARTER"): "steps of a ladder",
-    ("scene/lights.py", "BELOW_ONE"): "float32's",
-    ("scene/shapes.py", "FREQUENCY_EDGE"): "geometry of the sphere",
-    ("sequence.py", "BITS"): "of an integer",
-    ("sequence.py", "LIGHT"): "numbers of dimensions",
-    ("sequence.py", "PLACE"): "numbers of dimensions",
-    ("sequence.py", "ROUNDS"): "of a cipher",
+    ("light/simplification.py", "QUARTER"): "steps of a ladder",
+    ("light/light_samples.py", "BELOW_ONE"): "float32's",
+    ("scene/tessellation.py", "FREQUENCY_EDGE"): "geometry of the sphere",
+    ("core/sobol.py", "BITS"): "of an integer",
+    ("core/sobol.py", "LIGHT"): "numbers of dimensions",
+    ("core/sobol.py", "PLACE"): "numbers of dimensions",
+    ("core/sobol.py", "ROUNDS"): "of a cipher",
     ("solve/newton.py", "_GO_ON"): "a number that means none",
 }
 """Constants of the renderer's modules that are no thresholds: what they are."""
 
 BARE = {
-    ("compare/convergence.py", "0.01"): "the line that is labelled 1 %",
-    ("output.py", "0.0031308"): "where sRGB begins to be linear",
+    ("benchmarks/convergence.py", "0.01"): "the line that is labelled 1 %",
+    ("image_io.py", "0.0031308"): "where sRGB begins to be linear",
     ("probing/picture.py", "0.03"): "a place in the picture",
     ("probing/view.py", "0.01"): "a place in the picture",
 }

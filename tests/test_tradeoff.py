@@ -11,6 +11,7 @@ from test_cli import SPHERE, needs_variant, refscatter
 
 from mitsuba_refscatter import example_scenes, tolerances
 from mitsuba_refscatter.benchmarks import tradeoff
+from mitsuba_refscatter.integrators.hooks import Hooks
 
 OTHERS = {"interval_samples", "point_samples", "panels", "panel_points", "lobes", "adapts"}
 """Of estimators other than the curve, and of light that is not refracted."""
@@ -54,8 +55,7 @@ def test_with_all_choices_switched_off_the_image_is_the_exact_one(rgb, tmp_path)
         integrator = mi.load_dict(
             {"type": "refscatter", "surfaces": False, "internal_bounces": 1, "tolerance": tolerance}
         )
-        integrator.changes = changes
-        return np.array(integrator.render(scene, spp=1), dtype=np.float64)
+        return np.array(integrator.render(scene, spp=1, hooks=Hooks(accuracy=changes)), dtype=np.float64)
 
     exact = tolerances.accuracy(0.0)
     off = {name: getattr(exact, name) for names in tradeoff.CHOICES.values() for name in names}

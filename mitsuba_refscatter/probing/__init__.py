@@ -178,7 +178,8 @@ def _segments(scene, paths):
         if along is not None:
             numbers = [_numbers(x) for x in (along.start(), along.direction, along.length, along.weight)]
             found += [
-                (Segment(o, d, float(t[0]), w, region.name), (region, i)) for i, (o, d, t, w) in enumerate(zip(*numbers))
+                (Segment(o, d, float(t[0]), w, region.name), (region, i))
+                for i, (o, d, t, w) in enumerate(zip(*numbers))
             ]
     return sorted(found, key=lambda entry: -entry[0].weight.mean())
 
