@@ -57,8 +57,9 @@ class RenderPass:
         progress    (share done) or None
         """
         ray, wanted = mi.Ray3f(ray), options.aov_list(self.options)
+        self._warn_of_missing_light(ray)
         paths = self._trace(ray, active)
-        self._warn(ray, paths)
+        self._warn_of_lights_at_the_camera(ray, paths)
         single = self._single_scattering(paths, sampler, ray, batch, progress)
         unresolved = single.unresolved > dr.opaque(mi.Float, self.options.tolerance) * dr.max(single.value)
         self.counts.saw(dr.width(ray), unresolved)
@@ -85,11 +86,15 @@ class RenderPass:
         limits = camera_paths.Limits(opt.internal_bounces, opt.surfaces, prepared.accuracy.weight)
         return camera_paths.trace(prepared.scene, ray, active, start, limits)
 
-    def _warn(self, ray, paths):
-        """Says what will be missing along the paths."""
-        prepared, scene = self.prepared, self.prepared.scene
+    def _warn_of_missing_light(self, ray):
+        """Says what will be missing in media."""
+        prepared = self.prepared
         if self._tells(dr.width(ray)):
-            prepared.once(lambda: self.messages.warn(self.missing(scene)), "missing in media")
+            prepared.once(lambda: self.messages.warn(self.missing(prepared.scene)), "missing in media")
+
+    def _warn_of_lights_at_the_camera(self, ray, paths):
+        """Says what will not be found, where light that is refracted is solved for."""
+        prepared, scene = self.prepared, self.prepared.scene
         met = any(region.boundaries and paths.parts[region.index] for region in scene.regions)
         if self.refracts and met and not prepared.estimator.finds_sent_back:
             prepared.once(

@@ -125,7 +125,7 @@ class Arrival:
 def shadows(scene, body, records, sample, sampled):
     """``visibility.Shadows`` of a ``LightSample`` at a boundary, whose triangles are among ``records``; ``sampled``: whether what is lit may be
     judged by samples."""
-    incidence = _incidence(body, sample)
+    incidence = _incidence(body, sample, dr.opaque(mi.Point3f, body.centre))
     dr.eval(incidence.light.L)
     return Shadows(scene, body, records, incidence, sample.shape, sampled)
 
@@ -133,8 +133,8 @@ def shadows(scene, body, records, sample, sampled):
 def illuminate(scene, body, region, sample, shadows, wavelengths=None):
     """``Illumination`` of a boundary by a ``LightSample``; ``region``: that behind it; ``shadows``: ``visibility.Shadows`` of such a sample;
     ``wavelengths``: of the camera segments."""
-    incidence = _incidence(body, sample)
-    emission = sample.emission(dr.opaque(mi.Point3f, body.centre), wavelengths)
+    centre = dr.opaque(mi.Point3f, body.centre)
+    incidence, emission = _incidence(body, sample, centre), sample.emission(centre, wavelengths)
     if scene.through_media(body):
         emission = Arrival(emission, incidence.light, Transmittance(scene, wavelengths), body)
     return Illumination(
@@ -143,5 +143,5 @@ def illuminate(scene, body, region, sample, shadows, wavelengths=None):
     )  # fmt: skip
 
 
-def _incidence(body, sample):
-    return optics.Incidence(sample.local(dr.opaque(mi.Point3f, body.centre)), dr.opaque(mi.Float, body.eta))
+def _incidence(body, sample, centre):
+    return optics.Incidence(sample.local(centre), dr.opaque(mi.Float, body.eta))

@@ -128,7 +128,7 @@ def depart(scene, hit, d):
     P, side = hit.tri.position(*hit.uv), dr.dot(d, hit.tri.Ng)
     start = P + hit.tri.Ng * dr.copysign(tolerances.CAMERA_OFFSET * extent, side)
     origin, goes_in = mi.Point3f(centre + start), side < 0
-    region = dr.select(goes_in == hit.leaving, hit.near, hit.behind)
+    region = scene.near(hit.target, goes_in, hit.boundary)
     return Departure(origin, mi.Vector3f(P - (origin - centre)), goes_in, region)
 
 
