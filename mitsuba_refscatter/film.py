@@ -22,7 +22,8 @@ class Frame:
     sequence  that the places in the pixels are taken from, or None for those of the sampler
     aovs      names of the extra channels
     progress  (share done), or None
-    watch     (samples per pixel, image so far) -> how many are next (0: no more), or None; then the first pass is of one sample per pixel
+    watch     (samples per pixel, image so far) -> how many are next (0: no more), or None; then the first pass is
+              of one sample per pixel
     """
 
     sensor: mi.Sensor
@@ -37,8 +38,8 @@ class Frame:
 def render(sample, frame, develop, evaluate):
     """Renders in passes of at most ``tolerances.PASS_SAMPLES`` camera samples, at least one per pixel.
 
-    ``sample(sampler, ray, ray weight, active, batch, progress) -> (radiance, valid, extra channels)``; ``develop``, ``evaluate``: as in
-    Mitsuba's ``Integrator.render``.
+    ``sample(sampler, ray, ray weight, active, batch, progress) -> (radiance, valid, extra channels)``;
+    ``develop``, ``evaluate``: as in Mitsuba's ``Integrator.render``.
     """
     sensor, seed, spp, sequence = frame.sensor, frame.seed, frame.spp, frame.sequence
     aovs, progress, watch = frame.aovs, frame.progress, frame.watch
@@ -64,12 +65,12 @@ def render(sample, frame, develop, evaluate):
             block.set_coalesce(coalesce and per_pass >= tolerances.COALESCED)
             seeded = per_pass
         batch = Batch(done, per_pass)
-        ray, weight, position = _rays(sensor, sampler, film, size, border, batch, sequence)
+        ray, weight, position = _rays(frame, sampler, border, batch)
         report = (
             None if progress is None else lambda x, batch=batch: progress((batch.first + x * batch.per_pixel) / spp)
         )
         value, valid, extra = sample(sampler, ray, weight, True, batch, report)
-        _put(block, film, position, value * weight, valid, extra, ray.wavelengths)
+        _put(block, film, position, (value * weight, valid, extra), ray.wavelengths)
         sampler.advance()
         sampler.schedule_state()
         dr.eval(block.tensor())
@@ -106,8 +107,12 @@ def _divisor(spp, most):
     return max(k for k in range(1, min(spp, most) + 1) if spp % k == 0)
 
 
-def _rays(sensor, sampler, film, size, border, batch, sequence):
-    """One wavefront of camera rays."""
+def _rays(frame, sampler, border, batch):
+    """One wavefront of camera rays, their weights, and their places on the film. ``border``: pixels around it
+    that are sampled, too."""
+    sensor, sequence = frame.sensor, frame.sequence
+    film = sensor.film()
+    size = film.crop_size() + 2 * border
     width, n = dr.opaque(mi.UInt32, int(size[0])), int(size[0]) * int(size[1]) * batch.per_pixel
     pixel, _ = batch.split(n)
     corner = mi.Point2f(film.crop_offset()) - float(border)
@@ -125,7 +130,8 @@ def _rays(sensor, sampler, film, size, border, batch, sequence):
     return ray, weight, whole if film.rfilter().is_box_filter() else position
 
 
-def _put(block, film, position, value, valid, extra, wavelengths):
+def _put(block, film, position, found, wavelengths):
+    value, valid, extra = found
     alpha = dr.select(valid, mi.Float(1), mi.Float(0))
     if mi.has_flag(film.flags(), mi.FilmFlags.Special):
         block.put(

@@ -49,7 +49,7 @@ class Options(Common):
         default=0,
         metadata={
             "range": (0, 1 << 20),
-            "meaning": "samples per interval (interval) or camera segment (point); 0: as many as the tolerance asks for",
+            "meaning": "samples per interval (interval) or camera segment (point); 0: by the tolerance",
         },
     )
 
@@ -80,17 +80,18 @@ AOVS = {
 
 
 def read(props, kind=Options):
-    """Reads options of a ``kind`` from ``mi.Properties``; raises ``OptionError`` for an unknown name, a wrong type or value.
+    """Reads options of a ``kind`` from ``mi.Properties``; raises ``OptionError`` for an unknown name, a wrong
+    type or value.
 
     >>> props = mi.Properties("refscatter")
     >>> props["tolerance"] = 0.1
     >>> read(props).tolerance, read(props).estimator
     (0.1, 'curve')
     >>> props["estimator"] = "curv"
-    >>> read(props)
+    >>> read(props)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
         ...
-    mitsuba_refscatter.options.OptionError: refscatter: property "estimator" is 'curv': did you mean curve? Known are curve, interval, point
+    mitsuba_refscatter.options.OptionError: refscatter: property "estimator" is 'curv': did you mean curve? ...
     """
     plugin, values = props.plugin_name(), {}
     for option in fields(kind):

@@ -145,7 +145,8 @@ def mitsuba_problem() -> str | None:
     version = tuple(int(v) for v in re.findall(r"\d+", mi.__version__)[:3])
     if MITSUBA_RANGE[0] <= version < MITSUBA_RANGE[1]:
         return None
-    return f"refscatter was written for Mitsuba {low} up to, not including, {high} and {mi.__version__} is installed: {install}"
+    written = f"refscatter was written for Mitsuba {low} up to, not including, {high}"
+    return f"{written} and {mi.__version__} is installed: {install}"
 
 
 @cache

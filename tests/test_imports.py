@@ -33,7 +33,7 @@ ASKS = {
     "probing/__init__.py": {"ray_intersect_preliminary", "sensors"},
     "transport/crossing.py": {"ray_intersect_preliminary", "compute_surface_interaction", "bsdf"},  # the latter two of mirrors
     "transport/transmittance.py": {"ray_intersect_preliminary"},
-    "transport/visibility.py": {*TRACING, "bbox"},  # of what may be in the way
+    "transport/visibility.py": TRACING,
 }
 """What modules of the renderer but ``scene/`` ask scenes, shapes and media of Mitsuba's for."""
 

@@ -13,8 +13,8 @@ class Hooks:
     """What goes into a render besides its scene and options, and what it tells besides its image.
 
     progress  (share done), called now and then, or None
-    watch     (samples per pixel, image so far) -> how many are next (0: no more), or None; then the first pass is of one sample per
-              pixel, and places in the pixels come from a sequence instead of the sampler
+    watch     (samples per pixel, image so far) -> how many are next (0: no more), or None; then the first pass is
+              of one sample per pixel, and places in the pixels come from a sequence instead of the sampler
     accuracy  fields of ``tolerances.Accuracy`` by name, in place of those that the tolerance decides
     counts    the work of the last render
     """

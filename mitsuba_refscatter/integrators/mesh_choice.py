@@ -1,7 +1,8 @@
 """Which of the coarser meshes of a body (``light.simplification``) refracts light as well as the tolerance asks for.
 
-The error of a coarse mesh is measured on some of the camera segments that are to be rendered, against one with about four times
-as many triangles: it falls with the square of the turn of the normals along edges, so that what is left of it there is known.
+The error of a coarse mesh is measured on some of the camera segments that are to be rendered, against one with
+about four times as many triangles: it falls with the square of the turn of the normals along edges, so that what
+is left of it there is known.
 """
 
 import drjit as dr
@@ -21,8 +22,8 @@ def allowed_turns(error):
 
 
 def suitable(turns, error, measure):
-    """Number of the coarsest of meshes with these ``turns``, falling, that has at most the relative ``error``; the last one is
-    exact. ``measure(i, j)``: relative difference that it makes to take mesh i in place of j."""
+    """Number of the coarsest of meshes with these ``turns``, falling, that has at most the relative ``error``;
+    the last one is exact. ``measure(i, j)``: relative difference that it makes to take mesh i in place of j."""
     at = int(np.argmin(np.abs(np.log(turns[:-1]) - 0.5 * np.log(error / np.sqrt(np.prod(tolerances.TURN_ERROR))))))
     for _ in range(tolerances.COARSE_TRIES):
         finer = min(at + simplification.QUARTER, len(turns) - 1)
@@ -35,7 +36,8 @@ def suitable(turns, error, measure):
 
 
 def relative(difference, radiance):
-    """The sum of differences relative to that of the radiance, of which both are a sample, and twice its standard error."""
+    """The sum of differences relative to that of the radiance, of which both are a sample, and twice its standard
+    error."""
     total = max(radiance.sum(), 1e-30)
     ratio = difference.sum() / total
     return float(ratio + 2 * np.sqrt(((difference - ratio * radiance) ** 2).sum()) / total)
@@ -86,8 +88,15 @@ def choose(prepared, body, region, share, segments, sigma_t):
 
         measured_on = *vars(part).values(), extinction
         dr.eval(measured_on)
-        key = ChoiceKey(prepared.given, prepared.parameters(), digest(*measured_on), body.key, region.index, emitter.index,
-                        prepared.accuracy)  # fmt: skip
+        key = ChoiceKey(
+            prepared.given,
+            prepared.parameters(),
+            digest(*measured_on),
+            body.key,
+            region.index,
+            emitter.index,
+            prepared.accuracy,
+        )
         return cache.once(lambda: suitable([x.turn for x in levels], error, measure), key)
 
     chosen = prepared.once(measured, "choice", body.index, body.key, region.index, emitter.index)

@@ -26,8 +26,8 @@ class Messages:
 
 
 def lights_at_the_camera(scene, ends):
-    """Sentences about the lights that are where camera rays come from: of what these send straight back most estimators find little.
-    ``ends``: origins and directions of the first and the last ray, (2, 3) each."""
+    """Sentences about the lights that are where camera rays come from: of what these send straight back most
+    estimators find little. ``ends``: origins and directions of the first and the last ray, (2, 3) each."""
     return [
         f"{name} is at the camera: of what it sends straight back most is not found. Move it aside by "
         f'{2 * tolerances.AT_CAMERA:g} of its distance from the body, or set estimator to "point"'
@@ -40,5 +40,9 @@ def unresolved(counts, tolerance):
     share = counts.unresolved / max(counts.samples, 1)
     if share <= tolerances.MOST_UNRESOLVED:
         return []
-    return [f"{share:.1%} of the camera samples are not known to the tolerance {tolerance:g}: their rays graze caustics, or triangles are "
-            'large for what they refract; the AOV "unresolved" shows where. Lower the tolerance or tessellate the boundary more finely']  # fmt: skip
+    return [
+        f"{share:.1%} of the camera samples are not known to the tolerance {tolerance:g}: their rays "
+        f"graze caustics, or triangles are "
+        'large for what they refract; the AOV "unresolved" shows where. Lower the tolerance or '
+        "tessellate the boundary more finely"
+    ]

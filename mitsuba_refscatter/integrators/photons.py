@@ -20,19 +20,20 @@ from .surfaces import seed_from
 class PhotonIntegrator(RefscatterIntegrator):
     """Single scattering by photons: noise and blur instead of solving, to compare with.
 
-    In each pass (of camera samples, at most 262,144) new photons are sent from the lights to the bodies' boundaries, all of
-    them where they are lit, and refracted in. Light that comes without refraction is summed as by ``refscatter``.
-    With the radius r of the first pass and Gamma-like products r_i those of the later ones, after Knaus and Zwicker (2011):
-    r_i+1^2 / r_i^2 = (i + alpha) / (i + 1) for points, r_i+1 / r_i for beams (Jarosz et al. 2011, progressive photon beams).
-    Not in spectral variants: photons and camera rays have no wavelengths in common.
+    In each pass (of camera samples, at most 262,144) new photons are sent from the lights to the bodies'
+    boundaries, all of them where they are lit, and refracted in. Light that comes without refraction is summed as
+    by ``refscatter``. With the radius r of the first pass and Gamma-like products r_i those of the later ones,
+    after Knaus and Zwicker (2011): r_i+1^2 / r_i^2 = (i + alpha) / (i + 1) for points, r_i+1 / r_i for beams
+    (Jarosz et al. 2011, progressive photon beams). Not in spectral variants: photons and camera rays have no
+    wavelengths in common.
 
     .. pluginparameters::
 
      * - mode
        - |string|
-       - ``points``: photons are stored where they scatter, and their density is estimated along the camera ray (the beam
-         radiance estimate, Jarosz et al. 2008). ``beams``: their whole paths in the medium are stored, and meet the camera
-         rays (photon beams, Jarosz et al. 2011, one-dimensional blur). (Default: points)
+       - ``points``: photons are stored where they scatter, and their density is estimated along the camera ray
+         (the beam radiance estimate, Jarosz et al. 2008). ``beams``: their whole paths in the medium are stored, and
+         meet the camera rays (photon beams, Jarosz et al. 2011, one-dimensional blur). (Default: points)
      * - photons
        - |int|
        - Photons per pass. (Default: 50000)
@@ -42,7 +43,8 @@ class PhotonIntegrator(RefscatterIntegrator):
          body's box. (Default: 0)
      * - alpha
        - |float|
-       - 1: the radius stays; in (0, 1) it shrinks from pass to pass, so that bias and variance both vanish. (Default: 1)
+       - 1: the radius stays; in (0, 1) it shrinks from pass to pass, so that bias and variance both vanish.
+         (Default: 1)
      * - tolerance, internal_bounces, light_samples, surfaces, aovs, (Nested plugin)
        -
        - As of ``refscatter``; ``tolerance`` is that of light which comes without refraction.
@@ -57,8 +59,9 @@ class PhotonIntegrator(RefscatterIntegrator):
     def __init__(self, props):
         super().__init__(props)
         if mi.is_spectral:
-            raise options.OptionError("refscatter_photons: photons have no wavelengths in common with camera rays: use an "
-                                      "rgb or mono variant")  # fmt: skip
+            raise options.OptionError(
+                "refscatter_photons: photons have no wavelengths in common with camera rays: use an rgb or mono variant"
+            )
 
     def prepare(self, scene, seed, changes=None):
         common = {name: getattr(self.options, name) for name in vars(options.Common())}
@@ -86,8 +89,10 @@ class PhotonIntegrator(RefscatterIntegrator):
     def _cloud(self, prepared, region, body, number, rng):
         """``photons.Cloud`` of all lights behind a boundary in pass ``number``; None if it is not lit."""
         opt, lights, shot = self.options, prepared.scene.emitters, []
-        targets = [prepared.once(lambda: _target(prepared, region, body, light), "target", body.index, body.key, light.index)
-                   for light in lights]  # fmt: skip
+        targets = [
+            prepared.once(lambda: _target(prepared, region, body, light), "target", body.index, body.key, light.index)
+            for light in lights
+        ]
         total = sum(target.flux for target in targets if target is not None)
         for light, target in zip(lights, targets):
             count = 0 if target is None else max(1, round(opt.photons * target.flux / total))
@@ -118,8 +123,8 @@ def _target(prepared, region, body, emitter):
 
 
 def _shoot(prepared, region, body, emitter, shot):
-    """Photons of an emitter and how far they go in a body; None if none comes in. ``shot``: their ``photons.Target``, their number, and where
-    random numbers come from."""
+    """Photons of an emitter and how far they go in a body; None if none comes in. ``shot``: their
+    ``photons.Target``, their number, and where random numbers come from."""
     target, count, rng = shot
     sampler = _sampler(count, rng)
     point = light_samples.draw(emitter, sampler.next_2d(), 1.0) if emitter.drawn else light_samples.exact(emitter)

@@ -1,4 +1,5 @@
-"""What one render needs to know of a scene, made step by step: the records, the accuracy, the methods, the structures."""
+"""What one render needs to know of a scene, made step by step: the records, the accuracy, the methods, the
+structures."""
 
 from __future__ import annotations
 
@@ -68,8 +69,8 @@ class Prepared:
         return shadows(self.scene, body, self.structures.records(body), sample, self.accuracy.samples_visibility)
 
     def lit(self, body, sample, emitter):
-        """``(Shadows, Culling)`` of a ``LightSample`` of an ``Emitter`` at a boundary; the culling is None if nothing is lit. Made once per
-        render where the emitter is one point or direction."""
+        """``(Shadows, Culling)`` of a ``LightSample`` of an ``Emitter`` at a boundary; the culling is None if
+        nothing is lit. Made once per render where the emitter is one point or direction."""
 
         def make():
             found = self.shadows(body, sample)

@@ -16,9 +16,9 @@ from .surfaces import nested_integrator, seed_from
 
 
 class RefscatterIntegrator(mi.SamplingIntegrator):
-    """Single scattering in media with refractive boundaries; without noise, but for the estimator ``point`` and for lights
-    that are not a point or a direction. Raises ``OptionError`` for properties when it is made, ``SceneError`` for scenes when it
-    renders.
+    """Single scattering in media with refractive boundaries; without noise, but for the estimator ``point`` and
+    for lights that are not a point or a direction. Raises ``OptionError`` for properties when it is made,
+    ``SceneError`` for scenes when it renders.
 
     .. pluginparameters::
 
@@ -114,8 +114,9 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             render_pass = self._pass(prepared, medium, Counts(), whole=False)
             return render_pass(sampler, ray, mi.Spectrum(1), active, Batch(), None)
 
-    def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True, hooks=None):
-        """As Mitsuba's; ``sensor`` is one or its number, ``hooks``: ``Hooks``. Raises ``SceneError`` for a scene that is not supported."""
+    def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True, *, hooks=None):
+        """As Mitsuba's; ``sensor`` is one or its number, ``hooks``: ``Hooks``. Raises ``SceneError`` for a scene
+        that is not supported."""
         platform.require_usable(mi.variant())
         if isinstance(sensor, int):
             if not scene.sensors():
@@ -139,7 +140,8 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             return image
 
     def prepare(self, scene, seed, changes=None):
-        """``Prepared`` for a scene; ``seed()`` gives the seed of its random numbers, ``changes``: as ``prepared.prepare`` has them."""
+        """``Prepared`` for a scene; ``seed()`` gives the seed of its random numbers, ``changes``: as
+        ``prepared.prepare`` has them."""
         return prepare(scene, self.options, self.cache, seed, changes=changes)
 
     def scatter(self, prepared, paths, samples, counts, sampler):

@@ -1,7 +1,9 @@
-"""Single scattering of all lights in all regions: which light samples, through which boundaries, onto which segments."""
+"""Single scattering of all lights in all regions: which light samples, through which boundaries, onto which
+segments."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import drjit as dr
@@ -14,6 +16,7 @@ from ..estimators import unrefracted, wavefront
 from ..estimators.accumulator import Sums
 from ..light import light_samples
 from ..scene import holds
+from ..scene.boundaries import boxes_meet
 from ..transport import visibility
 from ..transport.transmittance import Transmittance
 from .mesh_choice import choose
@@ -34,11 +37,12 @@ class Samples:
     batch: Batch
     seed: int = 0
     detail: bool = False
-    progress: object = None
+    progress: Callable | None = None
 
 
 def scatter(prepared, paths, samples, counts, refracted=True):
-    """Single scattering along all segments of the camera paths: ``Sums`` per camera sample, with the radiance itself as ``value``.
+    """Single scattering along all segments of the camera paths: ``Sums`` per camera sample, with the radiance
+    itself as ``value``.
 
     prepared   ``Prepared``
     paths      ``camera_paths.Paths``
@@ -69,8 +73,8 @@ def scatter(prepared, paths, samples, counts, refracted=True):
 
 
 def _refracted(prepared, region, share, lit, single, run):
-    """Adds light that comes in through the region's refracting boundaries. ``lit``: segments, their light samples and the intensities of
-    these. Returns the ``Counts`` of the work."""
+    """Adds light that comes in through the region's refracting boundaries. ``lit``: segments, their light samples
+    and the intensities of these. Returns the ``Counts`` of the work."""
     segments, sample, value = lit
     sigma_s, sigma_t = region.coefficients(segments.wavelengths, segments.direction)
     counts = wavefront.Counts()
@@ -96,8 +100,7 @@ def goes_straight(region, emitter, sample):
         return True
     if dr.width(sample.L) == 1:
         return holds(region.body, np.array(sample.L).ravel())
-    low, high = region.body.box
-    return bool((emitter.box[0] <= high).all() and (emitter.box[1] >= low).all())
+    return boxes_meet(emitter.box, region.body.box)
 
 
 def _straight(prepared, region, segments, sample, value, single):

@@ -7,9 +7,9 @@ from .refscatter import RefscatterIntegrator
 
 
 class StraightIntegrator(RefscatterIntegrator):
-    """Single scattering of light that goes straight through boundaries, as production renderers approximate it: as if
-    each were ``null`` to light. Camera rays are refracted and reflected as by ``refscatter``; at eta = 1 both agree. So a
-    second refracting boundary on the way is a shadow here, too.
+    """Single scattering of light that goes straight through boundaries, as production renderers approximate it:
+    as if each were ``null`` to light. Camera rays are refracted and reflected as by ``refscatter``; at eta = 1
+    both agree. So a second refracting boundary on the way is a shadow here, too.
 
     .. pluginparameters::
 

@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from .. import optics, tolerances
 from ..core import arrays
+from ..scene.boundaries import Body
 from ..transport.transmittance import Transmittance
 from ..transport.visibility import Shadows
 from .light_samples import Cosine, Profile
@@ -25,8 +26,8 @@ class Illumination(optics.Incidence):
     phase     phase function (omega, d) in 1/sr, for light that travels along omega and a camera ray along d
     lit       visibility test (P, Ng, L, active) of the way from the light to P, or None where nothing can be in the way
     inside    the same (P, Ng, direction, length, active) of the way on behind P
-    emission  (P, omega_L, d_L): what arrives at P relative to a light that sends the same into all directions, or None for such a
-              light; ``emission.at(segment)``: that of camera segments
+    emission  (P, omega_L, d_L): what arrives at P relative to a light that sends the same into all directions, or
+              None for such a light; ``emission.at(segment)``: that of camera segments
     directed  extinction (omega, d) along omega relative to that along d, or None where it is the same
     guests    whether other objects may throw shadows inside
     """
@@ -68,8 +69,8 @@ class Illumination(optics.Incidence):
         return sigma_t if self.directed is None else sigma_t * self.directed(omega, d)
 
     def known(self, u, v, s, taken):
-        """Where culling knows that nothing is in the way from the light to the point at (u, v) and on for the length s; and
-        where it knows that something is."""
+        """Where culling knows that nothing is in the way from the light to the point at (u, v) and on for the
+        length s; and where it knows that something is."""
         free, blocked = self._inside(u, v, s, taken)
         return free & taken.proven_lit, blocked
 
@@ -91,7 +92,8 @@ class Illumination(optics.Incidence):
 
 @dataclass
 class Arrival:
-    """What arrives at the points of a boundary of light that goes there through media or straight through other boundaries.
+    """What arrives at the points of a boundary of light that goes there through media or straight through other
+    boundaries.
 
     inner          the light's own emission, or None
     light          in body coordinates
@@ -102,7 +104,7 @@ class Arrival:
     inner: Cosine | Profile | None
     light: optics.LocalLight
     transmittance: Transmittance
-    boundary: object
+    boundary: Body
 
     has_rim = False
 
@@ -123,24 +125,31 @@ class Arrival:
 
 
 def shadows(scene, body, records, sample, sampled):
-    """``visibility.Shadows`` of a ``LightSample`` at a boundary, whose triangles are among ``records``; ``sampled``: whether what is lit may be
-    judged by samples."""
+    """``visibility.Shadows`` of a ``LightSample`` at a boundary, whose triangles are among ``records``;
+    ``sampled``: whether what is lit may be judged by samples."""
     incidence = _incidence(body, sample, dr.opaque(mi.Point3f, body.centre))
     dr.eval(incidence.light.L)
     return Shadows(scene, body, records, incidence, sample.shape, sampled)
 
 
 def illuminate(scene, body, region, sample, shadows, wavelengths=None):
-    """``Illumination`` of a boundary by a ``LightSample``; ``region``: that behind it; ``shadows``: ``visibility.Shadows`` of such a sample;
-    ``wavelengths``: of the camera segments."""
+    """``Illumination`` of a boundary by a ``LightSample``; ``region``: that behind it; ``shadows``:
+    ``visibility.Shadows`` of such a sample; ``wavelengths``: of the camera segments."""
     centre = dr.opaque(mi.Point3f, body.centre)
     incidence, emission = _incidence(body, sample, centre), sample.emission(centre, wavelengths)
     if scene.through_media(body):
         emission = Arrival(emission, incidence.light, Transmittance(scene, wavelengths), body)
     return Illumination(
-        light=incidence.light, eta=incidence.eta, side=(body.eta > 1) - (body.eta < 1), phase=region.phase, lit=shadows.lit,
-        inside=shadows.inside, emission=emission, directed=region.directed, guests=shadows.guests,
-    )  # fmt: skip
+        light=incidence.light,
+        eta=incidence.eta,
+        side=(body.eta > 1) - (body.eta < 1),
+        phase=region.phase,
+        lit=shadows.lit,
+        inside=shadows.inside,
+        emission=emission,
+        directed=region.directed,
+        guests=shadows.guests,
+    )
 
 
 def _incidence(body, sample, centre):

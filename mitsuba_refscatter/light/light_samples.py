@@ -1,7 +1,7 @@
 """Light samples: points and directions that light comes from, exact or drawn, and what they send.
 
-Emitters that are one point or one direction are used as they are. Of the others (areas, environments) points and directions are
-drawn: each stands for all, divided by the density with which it was drawn.
+Emitters that are one point or one direction are used as they are. Of the others (areas, environments) points and
+directions are drawn: each stands for all, divided by the density with which it was drawn.
 """
 
 from __future__ import annotations
@@ -118,8 +118,8 @@ def exact(emitter):
 
 
 def draw(emitter, u, share):
-    """``LightSample`` of an ``Emitter`` for random numbers ``u`` (Point2f) in the unit square; ``share``: the probability of this
-    emitter."""
+    """``LightSample`` of an ``Emitter`` for random numbers ``u`` (Point2f) in the unit square; ``share``: the
+    probability of this emitter."""
     mi_emitter, shape = emitter.mi_emitter, emitter.mi_emitter.get_shape()
     share = dr.opaque(mi.Float, share)
     if shape is None:
@@ -143,8 +143,8 @@ def _direction(mi_emitter, u, share):
 
 
 def at(emitters, u, v):
-    """``(emitter, LightSample)`` of those ``emitters`` of which samples must be drawn, for numbers u, v in [0, 1): u chooses the emitter
-    by its share, and what it leaves of it, with v, a point."""
+    """``(emitter, LightSample)`` of those ``emitters`` of which samples must be drawn, for numbers u, v in [0,
+    1): u chooses the emitter by its share, and what it leaves of it, with v, a point."""
     drawn, end = [emitter for emitter in emitters if emitter.drawn], 0.0
     for emitter in drawn:
         start, end = end, end + emitter.share
@@ -175,7 +175,8 @@ class LightShare:
 
     emitter  whose it is
     sample   one, or one for each of several camera samples
-    slot     per camera sample (UInt32): the lane of ``sample`` that is for it, or NONE; None where the one is for all of them
+    slot     per camera sample (UInt32): the lane of ``sample`` that is for it, or NONE; None where the one is for
+             all of them
     value    the intensities of the samples where these are known, else None
     """
 
@@ -185,8 +186,8 @@ class LightShare:
     value: mi.Spectrum | None = None
 
     def of(self, segments):
-        """The ``CameraSegments`` that it is for, their light samples, one or one for each, and the intensities of these; None if there
-        are none."""
+        """The ``CameraSegments`` that it is for, their light samples, one or one for each, and the intensities of
+        these; None if there are none."""
         if self.slot is None:
             return segments, self.sample, self.sample.intensity(segments.wavelengths)
         slot = dr.gather(mi.UInt32, self.slot, segments.sample)
@@ -200,11 +201,12 @@ class LightShare:
 
 
 def shares(emitters, sequence, shared, batch, n, wavelengths):
-    """``LightShare`` of all light samples for a wavefront of camera samples: each emitter that is one point or direction is for all of
-    them; of the others each camera sample has one light sample.
+    """``LightShare`` of all light samples for a wavefront of camera samples: each emitter that is one point or
+    direction is for all of them; of the others each camera sample has one light sample.
 
     sequence     ``core.sobol.Sequence``, or None where no light must be drawn
-    shared       number of light samples that all camera samples share (light beams are made for each); 0: each has its own
+    shared       number of light samples that all camera samples share (light beams are made for each); 0: each
+                 has its own
     batch, n     ``core.sobol.Batch``, which camera samples these are, and their number
     wavelengths  of the camera samples
     """

@@ -1,9 +1,11 @@
 """Coarser meshes in place of a body's own, where light that is refracted by them is as good.
 
-A coarse body's corners are some of the fine one's, with their normals. Its triangles are patches, quadratic, through the fine body and
-its normals in the middles of edges as well. Only what refracts light is replaced: camera rays and
-shadow rays meet the body itself.
+A coarse body's corners are some of the fine one's, with their normals. Its triangles are patches, quadratic,
+through the fine body and its normals in the middles of edges as well. Only what refracts light is replaced:
+camera rays and shadow rays meet the body itself.
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
@@ -26,20 +28,28 @@ TURNS = tolerances.COARSEST_TURN * 0.5 ** (np.arange(tolerances.COARSE_LEVELS) /
 
 @dataclass
 class Level:
-    """A mesh that may stand for a body's: ``turn`` of the normals along its edges; ``faces``: of ``vertices`` and their ``normals``, or
-    None where it is the body's own; ``twin``: of each directed edge; ``digest``: of the faces."""
+    """A mesh that may stand for a body's.
+
+    turn       of the normals along its edges, chord on the unit sphere
+    triangles  their number
+    faces      (F, 3) of ``vertices``, or None where it is the body's own
+    twin       (3 F,) of each directed edge
+    vertices   (V, 3), world
+    normals    (V, 3), unit
+    digest     of the faces
+    """
 
     turn: float
     triangles: int
-    faces: object = None
-    twin: object = None
-    vertices: object = None
-    normals: object = None
+    faces: np.ndarray | None = None
+    twin: np.ndarray | None = None
+    vertices: np.ndarray | None = None
+    normals: np.ndarray | None = None
     digest: bytes = b""
 
     def of(self, body, scene, once):
-        """``body`` with this mesh, of patches that go through the boundary in the middles of their edges, too. ``once``: that of
-        ``Cache``, or of one render."""
+        """``body`` with this mesh, of patches that go through the boundary in the middles of their edges, too.
+        ``once``: that of ``Cache``, or of one render."""
         if self.faces is None:
             return body
         fields = once(lambda: self._fields(body, scene), PatchesKey(body.key, self.digest, scene.geometry))
@@ -69,8 +79,8 @@ class Level:
 
 
 def _bulge(scene, body, P, n):
-    """How far a body's boundary and its normal are from the means of points ``P`` (N, k, 3) on it and of their normals ``n``, along the
-    mean normal; 0 where it isn't met there; and whether it is."""
+    """How far a body's boundary and its normal are from the means of points ``P`` (N, k, 3) on it and of their
+    normals ``n``, along the mean normal; 0 where it isn't met there; and whether it is."""
     middle, axis = P.mean(axis=1), n.mean(axis=1)
     size = np.linalg.norm(P[:, 0] - P[:, 1], axis=1)
     reach = tolerances.BULGE * size * np.linalg.norm(n - axis[:, None], axis=2).max(axis=1) + tolerances.SLIP * size

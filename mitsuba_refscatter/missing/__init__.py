@@ -1,8 +1,8 @@
 """What a picture lacks: a rough estimate, told in warnings. The one place that knows which light is not computed.
 
-A few thousand photons go from the lights through boundaries and media and off surfaces, whether that is computed or not. What
-they leave in each medium is sorted by what happened to them before. For surfaces that are seen, straight lines to the lights tell how
-much light media take on the way.
+A few thousand photons go from the lights through boundaries and media and off surfaces, whether that is computed
+or not. What they leave in each medium is sorted by what happened to them before. For surfaces that are seen,
+straight lines to the lights tell how much light media take on the way.
 """
 
 import drjit as dr
@@ -29,8 +29,11 @@ SAYS = {
 
 IN_MEDIA = "{share} of the light that scatters in {region} is missing: {reason}"
 
-ON_SURFACES = ("{share} of the light on the surfaces that are seen is wrong: {region} is ignored on its way from the lights; "
-               "surfaces=false leaves surfaces out")  # fmt: skip
+ON_SURFACES = (
+    "{share} of the light on the surfaces that are seen is wrong: {region} is ignored on its way "
+    "from the lights; "
+    "surfaces=false leaves surfaces out"
+)
 
 
 def in_media(scene):
@@ -51,7 +54,8 @@ def in_media(scene):
 
 
 def on_surfaces(scene, ends):
-    """Sentences about what media do to light on the surfaces where camera rays end. ``ends``: a list of ``camera.Legs``."""
+    """Sentences about what media do to light on the surfaces where camera rays end. ``ends``: a list of
+    ``camera.Legs``."""
     if silent or not scene.emitters or not any(region.medium is not None for region in scene.regions):
         return []
     total = sum(map(len, ends))
@@ -69,7 +73,8 @@ def on_surfaces(scene, ends):
         lit = met.valid & dr.isfinite(arriving) & (arriving > 0)
         distance = tolerances.ENDLESS if point.distant else d_L * (1 - tolerances.SHADOW_END)
         view = look(scene, tables, start, omega_L, distance, (legs.region, lit))
-        # The nested integrator connects a point through nothing at all, and meets larger lights by chance behind anything.
+        # The nested integrator connects a point through nothing at all, and meets larger lights by chance behind
+        # anything.
         exact = mi.Bool(not emitter.drawn)
         counted = dr.select(~view.free | (exact & view.crosses), mi.Float(0), 1)
         right = dr.select(view.free & ~(exact & view.refracts), view.left, 0)

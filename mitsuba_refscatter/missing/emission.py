@@ -1,5 +1,7 @@
 """Photons that leave the lights, sent to bodies and everywhere."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import drjit as dr
@@ -15,13 +17,18 @@ from .walk import meet
 
 @dataclass
 class Photons:
-    """Where photons start (``o``, world; unit direction ``d``), in which ``region`` (index), and what each carries (``weight``,
-    Spectrum, W)."""
+    """Photons where they start.
 
-    o: object
-    d: object
-    region: object
-    weight: object
+    o       Point3f, world
+    d       Vector3f, unit
+    region  UInt32, where they start
+    weight  Spectrum, W, what each carries
+    """
+
+    o: mi.Point3f
+    d: mi.Vector3f
+    region: mi.UInt32
+    weight: mi.Spectrum
 
 
 def offset(p):
@@ -30,7 +37,8 @@ def offset(p):
 
 
 def points(scene, random):
-    """Pairs of an ``Emitter`` and its ``LightSample``, one or as many as ``random`` has lanes, of all emitters or of some where they are many."""
+    """Pairs of an ``Emitter`` and its ``LightSample``, one or as many as ``random`` has lanes, of all emitters or
+    of some where they are many."""
     emitters = scene.emitters
     chosen = np.linspace(0, len(emitters) - 1, min(len(emitters), tolerances.MISSING_LIGHTS)).astype(int)
     for emitter in (emitters[i] for i in chosen):
@@ -59,7 +67,8 @@ def photons(scene):
 
 
 def _region(scene, o, d):
-    """Index of the region in which the photons of a light start: the one in which most lines from there come to a boundary."""
+    """Index of the region in which the photons of a light start: the one in which most lines from there come to a
+    boundary."""
     n = dr.width(o)
     met = meet(scene, o, d, True)
     found, counts = np.unique(np.array(met.near)[np.array(met.boundary)], return_counts=True)
@@ -89,8 +98,13 @@ class _Targets:
     def _mean(self, density, n):
         """Mean of ``density(centre, radius)`` over the spheres, for n lanes."""
         state = dr.zeros(mi.UInt32, n), dr.zeros(mi.Float, n)
-        total = dr.while_loop(state, lambda i, _: i < self.count, lambda i, total: (i + 1, total + density(*self._sphere(i))),
-                              label="targets", mode="symbolic")[1]  # fmt: skip
+        total = dr.while_loop(
+            state,
+            lambda i, _: i < self.count,
+            lambda i, total: (i + 1, total + density(*self._sphere(i))),
+            label="targets",
+            mode="symbolic",
+        )[1]
         return total / self.count
 
     def aim(self, L, u):

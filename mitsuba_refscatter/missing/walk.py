@@ -1,4 +1,5 @@
-"""The way of photons: through boundaries by Fresnel's choice, through media, off surfaces; and straight lines through all of it."""
+"""The way of photons: through boundaries by Fresnel's choice, through media, off surfaces; and straight lines
+through all of it."""
 
 from __future__ import annotations
 
@@ -16,8 +17,9 @@ from ..transport.crossing import Hit
 
 KINDS = range(6)
 COMPUTED, REFRACTED, INSIDE, REFLECTED, SURFACES, FURTHER = KINDS
-"""What happened to light before it scatters: nothing, or one refraction; several; a reflection inside a body; one by a mirror, a thin
-sheet or the outside of a body; one by a surface; another scattering. The last two hide the others."""
+"""What happened to light before it scatters: nothing, or one refraction; several; a reflection inside a body; one
+by a mirror, a thin sheet or the outside of a body; one by a surface; another scattering. The last two hide the
+others."""
 
 
 @dataclass
@@ -84,24 +86,37 @@ def _coefficients(region):
 
 @dataclass
 class Walk:
-    """The state of photons. ``kind``: of COMPUTED ...; ``refractions``: their number; ``first``: number of the shape of the first of them;
-    ``culprit``: of the shape that makes the light one that is not computed; ``legs``: how many they have gone."""
+    """The state of photons.
 
-    o: object
-    d: object
-    region: object
-    weight: object
-    kind: object
-    refractions: object
-    first: object
-    culprit: object
-    random: object
-    legs: object
-    active: object
+    o            Point3f, world
+    d            Vector3f, unit
+    region       UInt32, where they are
+    weight       Spectrum, W
+    kind         UInt32, of COMPUTED ...
+    refractions  UInt32, their number
+    first        UInt32, number of the shape of the first of them
+    culprit      UInt32, number of the shape that makes the light one that is not computed
+    random       where random numbers come from
+    legs         UInt32, how many they have gone
+    active       Bool
+    """
+
+    o: mi.Point3f
+    d: mi.Vector3f
+    region: mi.UInt32
+    weight: mi.Spectrum
+    kind: mi.UInt32
+    refractions: mi.UInt32
+    first: mi.UInt32
+    culprit: mi.UInt32
+    random: mi.PCG32
+    legs: mi.UInt32
+    active: mi.Bool
 
 
 def follow(scene, photons):
-    """What photons leave in media: by kind and region (kinds, R + 1), and by kind, region and shape that is the reason (kinds, R + 1, S)."""
+    """What photons leave in media: by kind and region (kinds, R + 1), and by kind, region and shape that is the
+    reason (kinds, R + 1, S)."""
     n, regions = dr.width(photons.d), len(scene.regions) + 1
     albedo, tables = scene.albedos(), Tables(scene)
     shapes = dr.width(albedo)
@@ -113,8 +128,19 @@ def follow(scene, photons):
         dr.scatter_add(left, value, (state.kind * size[0] + index) * size[1] + culprit, state.active & (value > 0))
 
     zero, none = dr.zeros(mi.UInt32, n), dr.full(mi.UInt32, NONE, n)
-    state = Walk(mi.Point3f(photons.o), mi.Vector3f(photons.d), mi.UInt32(photons.region), mi.Spectrum(photons.weight), zero, mi.UInt32(zero),
-                 none, mi.UInt32(none), mi.PCG32(size=n, initstate=1), mi.UInt32(zero), dr.full(mi.Bool, True, n))  # fmt: skip
+    state = Walk(
+        mi.Point3f(photons.o),
+        mi.Vector3f(photons.d),
+        mi.UInt32(photons.region),
+        mi.Spectrum(photons.weight),
+        zero,
+        mi.UInt32(zero),
+        none,
+        mi.UInt32(none),
+        mi.PCG32(size=n, initstate=1),
+        mi.UInt32(zero),
+        dr.full(mi.Bool, True, n),
+    )
     dr.while_loop((state,), lambda state: state.active, lambda state: (_leg(state, scene, tables, albedo, leave),),
                   label="missing", mode="symbolic")  # fmt: skip
     dr.eval(left)
@@ -151,17 +177,25 @@ def _leg(state, scene, tables, albedo, leave):
     start = at + dr.copysign(tolerances.MISSING_OFFSET * dr.max(dr.abs(at)), dr.dot(d, met.Ng)) * met.Ng
     anywhere = mi.warp.square_to_uniform_sphere(mi.Point2f(state.random.next_float32(), state.random.next_float32()))
     return Walk(
-        o=mi.Point3f(dr.select(scatters, state.o + state.d * t, start)), d=mi.Vector3f(dr.select(scatters, anywhere, d)),
-        region=dr.select(scatters, here, dr.select(met.boundary, dr.select(through, met.behind, met.near), state.region)),
+        o=mi.Point3f(dr.select(scatters, state.o + state.d * t, start)),
+        d=mi.Vector3f(dr.select(scatters, anywhere, d)),
+        region=dr.select(
+            scatters, here, dr.select(met.boundary, dr.select(through, met.behind, met.near), state.region)
+        ),
         weight=state.weight * dr.select(scatters, after, left / (1 - p) * factor),
-        kind=dr.select(worse, event, state.kind), refractions=refractions, first=first,
-        culprit=dr.select(worse, dr.select(event == REFRACTED, first, met.shape), state.culprit), random=state.random, legs=state.legs + 1,
+        kind=dr.select(worse, event, state.kind),
+        refractions=refractions,
+        first=first,
+        culprit=dr.select(worse, dr.select(event == REFRACTED, first, met.shape), state.culprit),
+        random=state.random,
+        legs=state.legs + 1,
         active=state.active & (scatters | (met.valid & (factor > 0))) & (state.legs < tolerances.MISSING_LEGS),
-    )  # fmt: skip
+    )
 
 
 def _event(state, scene, tables, albedo, met):
-    """What happens to photons at what they meet: the event, whether they go through it, their direction, what is left of them."""
+    """What happens to photons at what they meet: the event, whether they go through it, their direction, what is
+    left of them."""
     refracts = dr.gather(mi.UInt32, tables.refracts, met.target, met.boundary) > 0
     at, n = crossing.cross(scene, state.d, met, met.n), dr.select(dr.dot(state.d, met.n) < 0, met.n, -met.n)
     reflects = met.boundary & (state.random.next_float32() < at.F)
@@ -178,38 +212,83 @@ def _event(state, scene, tables, albedo, met):
 
 @dataclass
 class View:
-    """A straight line to a light. ``free``: no surface is in the way; ``crosses``, ``refracts``: whether it crosses boundaries, and such that
-    refract; ``left``: share of the light that media leave; ``region``: that takes most, or NONE."""
+    """Straight lines to a light.
 
-    free: object
-    crosses: object
-    refracts: object
-    left: object
-    region: object
+    free      Bool, whether no surface is in the way
+    crosses   Bool, whether they cross boundaries
+    refracts  Bool, whether they cross boundaries that refract
+    left      Float, share of the light that media leave
+    region    UInt32, the one that takes most, or NONE
+    """
+
+    free: mi.Bool
+    crosses: mi.Bool
+    refracts: mi.Bool
+    left: mi.Float
+    region: mi.UInt32
+
+
+@dataclass
+class _Line:
+    """The state of straight lines: place (world) and length left; region around; whether they go on; optical
+    depth so far, the largest of one region and which that is; and as ``View`` has it."""
+
+    o: mi.Point3f
+    rest: mi.Float
+    region: mi.UInt32
+    active: mi.Bool
+    depth: mi.Float
+    deepest: mi.Float
+    which: mi.UInt32
+    free: mi.Bool
+    crosses: mi.Bool
+    refracts: mi.Bool
 
 
 def look(scene, tables, o, d, distance, start):
-    """``View`` of straight lines from o, as far as ``distance``. ``start``: (regions, whether a line is looked along)."""
+    """``View`` of straight lines.
+
+    tables    ``Tables`` of the scene
+    o         Point3f, world, where they start
+    d         Vector3f, unit
+    distance  Float, as far as they go
+    start     (regions (UInt32), whether a line is looked along (Bool))
+    """
     n = dr.width(o)
 
-    def step(o, rest, region, active, depth, deepest, which, free, crosses, refracts):
-        met = meet(scene, o, d, active)
-        met.valid &= met.pi.t < rest
+    def step(line):
+        met = meet(scene, line.o, d, line.active)
+        met.valid &= met.pi.t < line.rest
         boundary = met.valid & met.boundary
-        index, _, sigma_t, reach = tables.of(dr.select(boundary, met.near, region))
-        here = dr.select(active, dr.mean(sigma_t) * dr.select(met.valid, met.pi.t, dr.minimum(rest, reach)), 0)
-        which, deepest = dr.select(here > deepest, index, which), dr.maximum(here, deepest)
+        index, _, sigma_t, reach = tables.of(dr.select(boundary, met.near, line.region))
+        length = dr.select(met.valid, met.pi.t, dr.minimum(line.rest, reach))
+        here = dr.select(line.active, dr.mean(sigma_t) * length, 0)
         bends = boundary & (dr.gather(mi.UInt32, tables.refracts, met.target, boundary) > 0)
         slope = dr.maximum(dr.abs(dr.dot(d, met.Ng)), tolerances.GRAZING)
         ahead = met.pi.t + tolerances.MISSING_OFFSET * dr.max(dr.abs(met.p)) / slope
-        go_on = boundary & (rest > ahead)
+        go_on = boundary & (line.rest > ahead)
         ahead = dr.select(go_on, ahead, 0)
-        return (mi.Point3f(o + d * ahead), rest - ahead, dr.select(go_on, met.behind, region), go_on, depth + here, deepest, which,
-                free & ~(met.valid & ~met.boundary), crosses | boundary, refracts | bends)  # fmt: skip
+        return (
+            _Line(
+                o=mi.Point3f(line.o + d * ahead),
+                rest=line.rest - ahead,
+                region=dr.select(go_on, met.behind, line.region),
+                active=go_on,
+                depth=line.depth + here,
+                deepest=dr.maximum(here, line.deepest),
+                which=dr.select(here > line.deepest, index, line.which),
+                free=line.free & ~(met.valid & ~met.boundary),
+                crosses=line.crosses | boundary,
+                refracts=line.refracts | bends,
+            ),
+        )
 
     region, active = start
     zero, no = dr.zeros(mi.Float, n), dr.full(mi.Bool, False, n)
-    state = (mi.Point3f(o), zero + distance, mi.UInt32(region), no | active, mi.Float(zero), mi.Float(zero), dr.full(mi.UInt32, NONE, n),
-             dr.full(mi.Bool, True, n), mi.Bool(no), mi.Bool(no))  # fmt: skip
-    end = dr.while_loop(state, lambda *x: x[3], step, label="look", mode="symbolic")
-    return View(free=end[7], crosses=end[8], refracts=end[9], left=dr.exp(-end[4]), region=end[6])
+    line = _Line(
+        o=mi.Point3f(o), rest=zero + distance, region=mi.UInt32(region), active=no | active, depth=mi.Float(zero),
+        deepest=mi.Float(zero), which=dr.full(mi.UInt32, NONE, n), free=dr.full(mi.Bool, True, n),
+        crosses=mi.Bool(no), refracts=mi.Bool(no),
+    )  # fmt: skip
+    (end,) = dr.while_loop((line,), lambda line: line.active, step, label="look", mode="symbolic")
+    return View(free=end.free, crosses=end.crosses, refracts=end.refracts, left=dr.exp(-end.depth), region=end.which)

@@ -3,6 +3,8 @@
 Body coordinates are world coordinates minus the body's centre, so that float32 keeps its digits.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -22,19 +24,36 @@ from .support import BOUNDARIES, PERTURBED, refusal
 class Body:
     """A triangle mesh that is the boundary between two regions: ``inside`` it, behind the normals, and ``outside``.
 
-    ``kind``: a value of ``support.BOUNDARIES``; ``corners``: float64 (F, 3, 3), world; ``normals``: unit, geometric, outward
-    (F, 3); ``corner_normals`` (F, 3, 3); ``twin``: of each directed edge (``mesh.twins``); ``closed``: whether the mesh is;
-    ``first_record``: of its triangles in ``Scene.records``; ``centre``: 3 floats; ``box``: of the mesh, world;
-    ``box_low``, ``box_high``: of what its light can reach, body coordinates; ``size``: diagonal of that, or where it has no
-    end the length that matters; ``extent``: largest coordinate, world; ``key``: what all of this but names, numbers and tints follows from;
-    ``faces``: (F, 3) indices of vertices with one position and normal each, or None where normals are those of facets;
-    ``stands_for``: where it has a coarser mesh, of patches, the body; ``bulge``: what is then to be added to linear positions and normals
-    in the middles of the triangles' edges 01, 12, 20, (F, 2, 3, 3);
-    ``apart``: how far the patches are from the boundary that they stand for; ``inside``, ``outside``: indices of regions, or NONE.
+    name            as messages call it
+    shape           Mitsuba's
+    index           its number among the bodies of the scene
+    kind            a value of ``support.BOUNDARIES``
+    eta             index of refraction inside over outside
+    corners         float64 (F, 3, 3), world
+    normals         float64 (F, 3), unit, geometric, outward
+    corner_normals  float64 (F, 3, 3), unit
+    twin            (3 F,) of each directed edge (``mesh.twins``)
+    closed          whether the mesh is
+    convex          whether it is
+    centre          three floats, world: origin of the body's coordinates
+    box             of the mesh, world: low (3,) and high (3,)
+    first_record    number of its first triangle in ``Scene.records``
+    extent          largest coordinate, world
+    box_low         of what its light can reach, three floats, body coordinates
+    box_high        the same
+    size            diagonal of that, or where it has no end the length that matters
+    tints           textures ``specular_transmittance`` and ``specular_reflectance``, where the BSDF has them
+    key             what all of this but names, numbers and tints follows from
+    faces           (F, 3) indices of vertices with one position and normal each; None where normals are those of facets
+    stands_for      where it has a coarser mesh, of patches, the body
+    bulge           (F, 2, 3, 3), what patches add to linear positions and normals in the middles of edges 01, 12, 20
+    apart           how far the patches are from the boundary that they stand for
+    inside          index of the region behind its normals, or NONE
+    outside         index of the region before them, or NONE
     """
 
     name: str
-    shape: object
+    shape: mi.Shape
     index: int
     kind: str
     eta: float
@@ -44,18 +63,18 @@ class Body:
     twin: np.ndarray
     closed: bool
     convex: bool
-    centre: list
-    box: tuple
+    centre: list[float]
+    box: tuple[np.ndarray, np.ndarray]
     first_record: int
     extent: float
-    box_low: list
-    box_high: list
+    box_low: list[float]
+    box_high: list[float]
     size: float
-    tints: dict
+    tints: dict[str, mi.Texture]
     key: BodyKey
-    faces: object
-    stands_for: object = None
-    bulge: object = None
+    faces: np.ndarray | None
+    stands_for: Body | None = None
+    bulge: np.ndarray | None = None
     apart: float = 0.0
     inside: int = NONE
     outside: int = NONE
@@ -93,8 +112,8 @@ class Body:
                        key=replace(self.key, reach=reach))  # fmt: skip
 
     def flipped(self, first_record):
-        """The same boundary seen from its other side: light from the inside, refracted to the outside. Its triangles must
-        be packed again, as those from ``first_record`` on."""
+        """The same boundary seen from its other side: light from the inside, refracted to the outside. Its
+        triangles must be packed again, as those from ``first_record`` on."""
         turned = np.array([0, 2, 1])
         edge = np.array([2, 1, 0])  # of the turned triangle's three edges: which they were
         old = (3 * np.arange(len(self.corners))[:, None] + edge).ravel()
@@ -102,11 +121,20 @@ class Body:
         new_of_old[old] = np.arange(len(old))
         twin = self.twin[old]
         return replace(
-            self, eta=1 / self.eta, corners=self.corners[:, turned], normals=-self.normals, closed=False, convex=False,
-            corner_normals=-self.corner_normals[:, turned], twin=np.where(twin < 0, -1, new_of_old[twin]),
-            faces=None if self.faces is None else self.faces[:, turned], first_record=first_record, inside=self.outside, outside=self.inside,
+            self,
+            eta=1 / self.eta,
+            corners=self.corners[:, turned],
+            normals=-self.normals,
+            closed=False,
+            convex=False,
+            corner_normals=-self.corner_normals[:, turned],
+            twin=np.where(twin < 0, -1, new_of_old[twin]),
+            faces=None if self.faces is None else self.faces[:, turned],
+            first_record=first_record,
+            inside=self.outside,
+            outside=self.inside,
             key=replace(self.key, flipped=True),
-        )  # fmt: skip
+        )
 
 
 def refuse_shining(shape):
@@ -117,8 +145,8 @@ def refuse_shining(shape):
 
 
 def kind_of(shape):
-    """The kind of boundary that a shape is (a value of ``support.BOUNDARIES``); None if it is an ordinary surface. Refuses
-    shapes that are neither."""
+    """The kind of boundary that a shape is (a value of ``support.BOUNDARIES``); None if it is an ordinary
+    surface. Refuses shapes that are neither."""
     bsdf, name = shape.bsdf(), name_shape(shape)
     bsdf_kind = bsdf.class_name() if bsdf is not None else "none"
     if shape.class_name() in ("Instance", "ShapeGroup", "ShapeGroupPlugin"):
@@ -173,12 +201,28 @@ def _read(shape, kind, eta, name, key):
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     centre = np.float64(np.float32(0.5 * (low + high)))
     return Body(
-        name=name, shape=None, index=0, kind=kind, eta=eta, corners=corners, normals=Ng, corner_normals=corner_normals,
-        twin=twin, closed=closed, convex=closed and mesh_facts.is_convex(corners, Ng, topology, twin),
-        centre=centre.tolist(), box=(low, high), first_record=0, extent=float(np.abs(corners).max()),
-        box_low=(low - centre).tolist(), box_high=(high - centre).tolist(), size=float(np.linalg.norm(high - low)), tints={}, key=key,
+        name=name,
+        shape=None,
+        index=0,
+        kind=kind,
+        eta=eta,
+        corners=corners,
+        normals=Ng,
+        corner_normals=corner_normals,
+        twin=twin,
+        closed=closed,
+        convex=closed and mesh_facts.is_convex(corners, Ng, topology, twin),
+        centre=centre.tolist(),
+        box=(low, high),
+        first_record=0,
+        extent=float(np.abs(corners).max()),
+        box_low=(low - centre).tolist(),
+        box_high=(high - centre).tolist(),
+        size=float(np.linalg.norm(high - low)),
+        tints={},
+        key=key,
         faces=faces if normals is not None and smooth else None,
-    )  # fmt: skip
+    )
 
 
 def _one_sided(corners, topology, name):
@@ -211,8 +255,8 @@ def _properties(bsdf, kind, name):
 
 
 def _front(shape, Ng, agreement):
-    """Geometric normals of an open mesh on its outside: where its vertex normals are (``agreement`` with the winding, or
-    None), or as its triangles wind; the other side with flip_normals."""
+    """Geometric normals of an open mesh on its outside: where its vertex normals are (``agreement`` with the
+    winding, or None), or as its triangles wind; the other side with flip_normals."""
     sign = -1 if shape.has_flipped_normals() else 1
     return Ng * sign * (1 if agreement is None or agreement.sum() >= 0 else -1)
 
@@ -227,8 +271,11 @@ def _outward(corners, normals, part, name):
     sizes = np.array([np.ptp(piece.reshape(-1, 3), axis=0).max() for piece in pieces])
     flat = np.flatnonzero(~(np.abs(volumes) >= tolerances.NO_VOLUME * sizes**3))
     if len(flat):
-        raise SceneError(f"{name} has closed parts that enclose no volume ({len(flat)}, the first of {name_part(pieces[flat[0]])}): "
-                         "remove them or give them thickness")  # fmt: skip
+        raise SceneError(
+            f"{name} has closed parts that enclose no volume ({len(flat)}, the first of "
+            f"{name_part(pieces[flat[0]])}): "
+            "remove them or give them thickness"
+        )
     signs, around = np.sign(volumes), _around(pieces, name)
     outer = signs.copy()
     for k, piece in enumerate(pieces):
@@ -240,8 +287,11 @@ def _outward(corners, normals, part, name):
             )
         if depth % 2 == 1:
             if any(signs[p] == signs[k] for p in parents if around[:, p].sum() == depth - 1):
-                raise SceneError(f"{name} has a part of {name_part(piece)} inside another that winds the same way: reverse it if it is "
-                                 "the wall of a cavity, else make it a shape with the medium around it as its exterior")  # fmt: skip
+                raise SceneError(
+                    f"{name} has a part of {name_part(piece)} inside another that winds the "
+                    f"same way: reverse it if it is "
+                    "the wall of a cavity, else make it a shape with the medium around it as its exterior"
+                )
             outer[k] = -signs[k]
     return normals * outer[part][:, None]
 
@@ -290,21 +340,48 @@ def _read_mesh(shape, name):
     faces = shape.face_indices(dr.arange(mi.UInt32, shape.face_count())).numpy().T.astype(np.int64)
     bad = np.flatnonzero((faces >= shape.vertex_count()).any(axis=1))
     if len(bad):
-        raise SceneError(f"{name} has triangles with a vertex that is not there ({len(bad)}, the first with the vertices "
-                         f"{', '.join(map(str, faces[bad[0]]))} of {shape.vertex_count()}, counted from 0): write the mesh anew")  # fmt: skip
+        raise SceneError(
+            f"{name} has triangles with a vertex that is not there ({len(bad)}, the first with "
+            f"the vertices "
+            f"{', '.join(map(str, faces[bad[0]]))} of {shape.vertex_count()}, counted from 0): "
+            f"write the mesh anew"
+        )
     every = dr.arange(mi.UInt32, shape.vertex_count())
     vertices = shape.vertex_position(every).numpy().T.astype(np.float64)
     used = np.unique(faces)
     bad = used[~np.isfinite(vertices[used]).all(axis=1)]
     if len(bad):
-        raise SceneError(f"{name} has vertices that are not finite ({len(bad)}, the first is number {bad[0]}, counted from 0, at "
-                         f"{name_place(vertices[bad[0]])}): mend the mesh")  # fmt: skip
+        raise SceneError(
+            f"{name} has vertices that are not finite ({len(bad)}, the first is number "
+            f"{bad[0]}, counted from 0, at "
+            f"{name_place(vertices[bad[0]])}): mend the mesh"
+        )
     if not shape.has_vertex_normals() or shape.has_face_normals():
         return vertices, faces, None
     normals = shape.vertex_normal(every).numpy().T.astype(np.float64)
     length = np.linalg.norm(normals, axis=1)
     bad = used[~((length[used] > tolerances.VERTEX_NORMAL) & np.isfinite(length[used]))]
     if len(bad):  # Mitsuba's loaders make NaN of zero
-        raise SceneError(f"{name} has vertex normals that are zero or not finite ({len(bad)}, the first at the vertex {name_place(vertices[bad[0]])}): "
-                         "recompute them, or set face_normals")  # fmt: skip
+        raise SceneError(
+            f"{name} has vertex normals that are zero or not finite ({len(bad)}, the first at "
+            f"the vertex {name_place(vertices[bad[0]])}): "
+            "recompute them, or set face_normals"
+        )
     return vertices, faces, normals / np.maximum(length, tolerances.VERTEX_NORMAL)[:, None]
+
+
+def holds(body, point):
+    """Whether a closed body holds a point (world)."""
+    within = ((point >= body.box[0]) & (point <= body.box[1])).all()
+    return bool(within and mesh_facts.encloses(body.corners, np.asarray(point, dtype=np.float64)))
+
+
+def boxes_meet(a, b):
+    """Whether two boxes (low (3,), high (3,)) have points in common."""
+    return bool((a[0] <= b[1]).all() and (b[0] <= a[1]).all())
+
+
+def box_of(shape):
+    """Box of a shape of Mitsuba's, world: low (3,) and high (3,)."""
+    box = shape.bbox()
+    return np.array(box.min).ravel(), np.array(box.max).ravel()

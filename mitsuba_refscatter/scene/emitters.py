@@ -1,4 +1,5 @@
-"""Emitters: the lights of a scene as records. Some are one point or one direction; of the others samples must be drawn."""
+"""Emitters: the lights of a scene as records. Some are one point or one direction; of the others samples must be
+drawn."""
 
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ from .. import tolerances
 from ..core import arrays
 from ..geometry import mesh as mesh_facts
 from ..optics import LocalLight
+from .boundaries import box_of
 from .errors import SceneError, describe, name_shape
 from .media import visible
 from .support import DELTA_EMITTERS, refusal
@@ -43,14 +45,16 @@ class Emitter:
 
 
 def sample_direction(mi_emitter, P, wavelengths, u):
-    """``(DirectionSample3f, Spectrum)`` of Mitsuba's emitter for points P (world) and random numbers ``u`` (Point2f)."""
+    """``(DirectionSample3f, Spectrum)`` of Mitsuba's emitter for points P (world) and random numbers ``u``
+    (Point2f)."""
     at = dr.zeros(mi.SurfaceInteraction3f)
     at.p, at.wavelengths = P, wavelengths
     return mi_emitter.sample_direction(at, u, True)
 
 
 def read(scene, bodies, scatters):
-    """``Emitter`` of each of the scene's. Those that are not supported are accepted where nothing scatters their light."""
+    """``Emitter`` of each of the scene's. Those that are not supported are accepted where nothing scatters their
+    light."""
     if not scene.emitters():
         raise SceneError('the scene has no light: add an emitter, such as <emitter type="point"/>')
     emitters = []
@@ -67,7 +71,7 @@ def read(scene, bodies, scatters):
             if dr.is_array_v(value) and not np.isfinite(np.array(dr.ravel(value), dtype=float)).all():
                 raise SceneError(f"{name} has a value of {key.split('.')[0]} that is not finite: correct it")
         place = _place(mi_emitter, kind, name, bodies) if kind in DELTA_EMITTERS else None
-        box = None if shape is None else tuple(np.array(x).ravel() for x in (shape.bbox().min, shape.bbox().max))
+        box = None if shape is None else box_of(shape)
         emitters.append(Emitter(name, len(emitters), mi_emitter, place, box=box))
     _share_out([emitter for emitter in emitters if emitter.drawn], bodies)
     return emitters
@@ -93,8 +97,8 @@ def _place(mi_emitter, kind, name, bodies):
 
 
 def _share_out(drawn, bodies):
-    """Sets the share of each emitter of which samples are drawn: of what they bring to the bodies' centres, and a part of it evenly, since
-    what brings nothing to there may still light other places."""
+    """Sets the share of each emitter of which samples are drawn: of what they bring to the bodies' centres, and a
+    part of it evenly, since what brings nothing to there may still light other places."""
     if not drawn:
         return
     rng = np.random.default_rng(0)

@@ -1,5 +1,8 @@
 """Regions: the volumes between boundaries, each with one medium or none, and which boundary is between which."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import drjit as dr
@@ -8,7 +11,7 @@ import numpy as np
 
 from .. import tolerances
 from . import media
-from .boundaries import NONE, enclosed_share
+from .boundaries import NONE, Body, boxes_meet, enclosed_share
 from .errors import SceneError, name_medium
 from .support import refusal
 
@@ -17,22 +20,28 @@ from .support import refusal
 class Region:
     """A volume with one medium, or a closed body's inside without.
 
-    ``body``: the closed body whose inside it is, or None; ``medium``: Mitsuba's, or None; ``scatters``: whether it scatters
-    light; ``phase(omega, d)``: its phase function; ``directed``: ``media.directed``; ``boundaries``: refracting ones, each as the ``Body`` that has this region
-    inside; ``reach``: how far light and camera rays are followed in it, or None where its body ends it; ``admits``: whether
-    light may come in without refraction.
+    name        of what it fills, as messages call it
+    index       its number among the regions of the scene
+    body        the closed body whose inside it is, or None
+    medium      Mitsuba's, or None
+    scatters    whether it scatters light
+    phase       phase function (omega, d), 1/sr: ``media.phase``
+    directed    ``media.directed``, or None
+    reach       how far light and camera rays are followed in it, or None where its body ends it
+    admits      whether light may come in without refraction
+    boundaries  refracting ones, each as the ``Body`` that has this region inside
     """
 
     name: str
     index: int
-    body: object
-    medium: object
+    body: Body | None
+    medium: mi.Medium | None
     scatters: bool = False
-    phase: object = None
-    directed: object = None
-    reach: object = None
+    phase: Callable | None = None
+    directed: Callable | None = None
+    reach: float | None = None
     admits: bool = False
-    boundaries: list = field(default_factory=list)
+    boundaries: list[Body] = field(default_factory=list)
 
     @property
     def label(self):
@@ -115,7 +124,7 @@ def _containers(bodies):
     around = {}
     for inner in bodies:
         for outer in bodies:
-            if outer is inner or not outer.closed or not _boxes_meet(inner.box, outer.box):
+            if outer is inner or not outer.closed or not boxes_meet(inner.box, outer.box):
                 continue
             share = enclosed_share(outer.corners, inner.corners)
             if 0 < share < 1 or (share == 1 and inner in around.get(outer.index, ())):  # the latter: in the same place
@@ -125,7 +134,3 @@ def _containers(bodies):
     return {
         index: min(outer, key=lambda body: np.prod(np.subtract(*body.box[::-1]))) for index, outer in around.items()
     }
-
-
-def _boxes_meet(a, b):
-    return bool((a[0] <= b[1]).all() and (b[0] <= a[1]).all())

@@ -27,8 +27,8 @@ def box(mi_scene):
 
 
 def albedos(mi_scene, shapes):
-    """A table (Float) by the number of a shape: the share of light that ``shapes`` reflect, in the mean over themselves and the wavelengths,
-    as far as their BSDFs tell; 0 for others."""
+    """A table (Float) by the number of a shape: the share of light that ``shapes`` reflect, in the mean over
+    themselves and the wavelengths, as far as their BSDFs tell; 0 for others."""
     known, out = {}, np.zeros(1 + max(map(shape_number, mi_scene.shapes()), default=0))
     n = tolerances.MISSING_TEXELS
     si = dr.zeros(mi.SurfaceInteraction3f, n**2)

@@ -5,6 +5,8 @@ What a shape looks like is asked of Mitsuba itself, by rays: which way ``to_worl
 normals differs between its shapes.
 """
 
+from __future__ import annotations
+
 import re
 from dataclasses import dataclass
 
@@ -40,12 +42,17 @@ def segments(tolerance):
 
 @dataclass
 class Surface:
-    """Triangles, in float64: ``vertices`` (V, 3); ``normals`` (V, 3), unit, or None for those of the triangles;
-    ``texcoords`` (V, 2) or None; ``faces`` (F, 3), counter-clockwise seen from where the renderer's normals point."""
+    """Triangles, float64.
+
+    vertices   (V, 3)
+    normals    (V, 3), unit, or None for those of the triangles
+    texcoords  (V, 2), or None
+    faces      (F, 3), counter-clockwise seen from where the renderer's normals point
+    """
 
     vertices: np.ndarray
-    normals: object
-    texcoords: object
+    normals: np.ndarray | None
+    texcoords: np.ndarray | None
     faces: np.ndarray
 
     def flipped(self):

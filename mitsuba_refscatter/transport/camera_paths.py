@@ -1,10 +1,10 @@
 """From camera rays to the chain of segments inside bodies, with weights.
 
-Each camera ray is followed through the boundaries and mirrors that it meets. A hit with a boundary splits it into the
-reflected and the refracted leg, both deterministically; each part in a region that scatters is a segment along which single
-scattering is collected. A leg goes on while it had at most ``internal_bounces`` internal reflections and
-as many hits from outside (and of mirrors) after the first. Weights hold Fresnel factors, the change of radiance by the
-index of refraction (1/eta^2 going in, eta^2 going out) and the attenuation in media.
+Each camera ray is followed through the boundaries and mirrors that it meets. A hit with a boundary splits it into
+the reflected and the refracted leg, both deterministically; each part in a region that scatters is a segment
+along which single scattering is collected. A leg goes on while it had at most ``internal_bounces`` internal
+reflections and as many hits from outside (and of mirrors) after the first. Weights hold Fresnel factors, the
+change of radiance by the index of refraction (1/eta^2 going in, eta^2 going out) and the attenuation in media.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import mitsuba as mi
 from .. import tolerances
 from ..core import arrays
 from ..core.arrays import NONE
+from ..scene import Scene
 from . import crossing
 from .camera_refusals import refuse_other_medium, refuse_overlaps
 from .segments import CameraSegments
@@ -95,10 +96,11 @@ class Limits:
 
 @dataclass
 class _Walk:
-    """One step of following camera rays: the ``scene``, the camera's ``ray``, the ``limits``, the ``paths`` found so far, whether it is the
-    ``first`` step, and whether legs that leave a body may bring something, if only by entering one ``again``."""
+    """One step of following camera rays: the ``scene``, the camera's ``ray``, the ``limits``, the ``paths`` found
+    so far, whether it is the ``first`` step, and whether legs that leave a body may bring something, if only by
+    entering one ``again``."""
 
-    scene: object
+    scene: Scene
     ray: mi.Ray3f
     limits: Limits
     paths: Paths
@@ -181,8 +183,9 @@ def _left(walk, legs, length):
 
 
 def _meet(scene, legs, first):
-    """``crossing.Hit`` of all legs, and which of them (Bool) meet a boundary from a region that it is not next to. Those, and those that meet
-    nothing inside of a closed body, have slipped through an edge unseen, or bodies touch there: they are traced again slightly aside."""
+    """``crossing.Hit`` of all legs, and which of them (Bool) meet a boundary from a region that it is not next
+    to. Those, and those that meet nothing inside of a closed body, have slipped through an edge unseen, or bodies
+    touch there: they are traced again slightly aside."""
 
     def elsewhere(hit):
         other = hit.boundary & (hit.near != legs.region)
@@ -199,9 +202,9 @@ def _meet(scene, legs, first):
 
 
 def _make_up(scene, legs, hit, elsewhere):
-    """Corrects the weight and region of legs that meet a boundary from another region (``elsewhere``) than that on its near
-    side. What the crossing that was missed does to radiance is made up for: before this leg, or after it where
-    its body touches the one that is met. Returns the factor for after it."""
+    """Corrects the weight and region of legs that meet a boundary from another region (``elsewhere``) than that
+    on its near side. What the crossing that was missed does to radiance is made up for: before this leg, or after
+    it where its body touches the one that is met. Returns the factor for after it."""
     behind = scene.missed_behind(legs.region, hit.target, hit.leaving, elsewhere)
     factor = scene.squared_index(legs.region) / scene.squared_index(hit.near)
     legs.weight = dr.select(behind, legs.weight * factor, legs.weight)
@@ -218,9 +221,15 @@ def _record(walk, legs, valid, length):
                 s, t = legs.gather(inside), dr.gather(mi.Float, length, inside)
                 t = dr.minimum(t, dr.opaque(mi.Float, region.reach)) if region.reach else t
                 found = CameraSegments(
-                    origin=s.o, offset=s.back, direction=s.d, length=t, region=region.index, weight=s.weight, sample=s.sample,
+                    origin=s.o,
+                    offset=s.back,
+                    direction=s.d,
+                    length=t,
+                    region=region.index,
+                    weight=s.weight,
+                    sample=s.sample,
                     wavelengths=arrays.of(walk.ray.wavelengths, s.sample),
-                )  # fmt: skip
+                )
                 walk.paths.parts[region.index].append(found)
 
 
@@ -263,8 +272,14 @@ def _reflected(walk, legs, pi, mirror):
     ray = mi.Ray3f(legs.o, legs.d)
     ray.time = arrays.of(walk.ray.time, legs.sample)
     origin, d, value = crossing.mirrored(walk.scene, pi, ray, arrays.of(walk.ray.wavelengths, legs.sample))
-    on = replace(legs, o=origin, d=d, weight=legs.weight * value, entries=legs.entries + mi.UInt32(0 if walk.first else 1),
-                 back=dr.zeros(mi.Vector3f, dr.width(d)))  # fmt: skip
+    on = replace(
+        legs,
+        o=origin,
+        d=d,
+        weight=legs.weight * value,
+        entries=legs.entries + mi.UInt32(0 if walk.first else 1),
+        back=dr.zeros(mi.Vector3f, dr.width(d)),
+    )
     dr.eval(on)  # the mirrors are asked once
     index = dr.compress(dr.max(on.weight) > walk.limits.least_weight)
     return [on.gather(index)] if dr.width(index) > 0 else []

@@ -14,9 +14,9 @@ from ..scene import NONE, holds, hole_refusal, refusal, side_refusal
 def refuse_other_medium(scene, legs, hit, elsewhere):
     """Camera rays that first meet a boundary from a side where another medium is than the sensor names.
 
-    A few may have slipped through edges, or see an open surface from behind through its hole. They are made up for, as long as
-    they are at most ``tolerances.FROM_ELSEWHERE`` of the rays in this wavefront that hit anything. None are where the sensor is
-    in a medium without end and a body is met from outside.
+    A few may have slipped through edges, or see an open surface from behind through its hole. They are made up
+    for, as long as they are at most ``tolerances.FROM_ELSEWHERE`` of the rays in this wavefront that hit
+    anything. None are where the sensor is in a medium without end and a body is met from outside.
     """
     found = dr.compress(scene.missed_behind(legs.region, hit.target, hit.leaving, elsewhere))
     if dr.width(found) == 0:
@@ -46,7 +46,8 @@ def refuse_other_medium(scene, legs, hit, elsewhere):
 
 
 def refuse_overlaps(scene, legs, hit, elsewhere):
-    """Refuses a scene if legs that meet a boundary from a region that it is not next to come from inside of two bodies."""
+    """Refuses a scene if legs that meet a boundary from a region that it is not next to come from inside of two
+    bodies."""
     found = dr.compress(elsewhere)
     if dr.width(found) == 0:
         return

@@ -55,7 +55,8 @@ class Hit:
         return self.pi.prim_uv.x, self.pi.prim_uv.y
 
     def tint(self, bodies, what, wavelengths):
-        """The colours (Spectrum) of those boundaries that are of ``bodies``; ``what``: ``specular_reflectance`` or ``specular_transmittance``."""
+        """The colours (Spectrum) of those boundaries that are of ``bodies``; ``what``: ``specular_reflectance``
+        or ``specular_transmittance``."""
         tint = mi.Spectrum(1)
         for body in bodies:
             if what in body.tints:
@@ -71,7 +72,8 @@ class Crossing:
     F          Float, reflectance by Fresnel; of a thin sheet with all reflections in it
     reflected  Vector3f, unit direction of the reflected way
     refracted  Vector3f, the same of the way through; meaningless where F is 1
-    shift      Float, what refraction does to radiance along the ray: 1 over the square of the index behind over that before
+    shift      Float, what refraction does to radiance along the ray: 1 over the square of the index behind over
+               that before
     """
 
     eta: mi.Float
@@ -133,8 +135,8 @@ def depart(scene, hit, d):
 
 
 def mirrored(scene, pi, ray, wavelengths):
-    """Rays that meet a mirror with Mitsuba's intersection ``pi``, as its BSDF reflects them: origin (world), unit direction, and the factor of
-    radiance (Spectrum). ``ray``: mi.Ray3f, whose time counts."""
+    """Rays that meet a mirror with Mitsuba's intersection ``pi``, as its BSDF reflects them: origin (world), unit
+    direction, and the factor of radiance (Spectrum). ``ray``: mi.Ray3f, whose time counts."""
     leg = mi.RayDifferential3f(ray)
     leg.wavelengths = wavelengths
     si = pi.compute_surface_interaction(leg, mi.RayFlags.All)

@@ -32,7 +32,7 @@ class CameraSegments:
     region: int
     weight: mi.Spectrum
     sample: mi.UInt32
-    wavelengths: object
+    wavelengths: mi.Spectrum
 
     def __len__(self):
         return dr.width(self.length)
@@ -55,7 +55,8 @@ class CameraSegments:
         return mi.Point3f(self.origin + self.offset)
 
     def from_boundary(self, centre, sigma_t):
-        """``LocalSegments`` about ``centre`` (three numbers, world), from the boundary on. ``sigma_t``: Spectrum, extinction along them."""
+        """``LocalSegments`` about ``centre`` (three numbers, world), from the boundary on. ``sigma_t``: Spectrum,
+        extinction along them."""
         off = self.off_boundary(centre, sigma_t)
         return replace(off, o=mi.Point3f(off.o + self.offset))
 

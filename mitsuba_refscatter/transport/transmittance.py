@@ -1,7 +1,10 @@
 """Light that goes straight: what is left of it behind media and boundaries that do not refract (null, thin dielectric).
 
-Every other surface, a dielectric too, blocks it; but where all light is to go straight, it goes through one refracting boundary.
+Every other surface, a dielectric too, blocks it; but where all light is to go straight, it goes through one
+refracting boundary.
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
@@ -10,7 +13,7 @@ import mitsuba as mi
 
 from .. import tolerances
 from ..core import arrays
-from ..scene import ONCE
+from ..scene import ONCE, Scene
 from .crossing import Hit, sheet
 
 BLOCKED = 0xFFFFFFFF
@@ -19,17 +22,19 @@ BLOCKED = 0xFFFFFFFF
 
 @dataclass
 class Transmittance:
-    """Straight lines through the regions of a scene (``scene.Scene``). ``wavelengths``: one set, or one per camera segment."""
+    """Straight lines through the regions of a scene (``scene.Scene``). ``wavelengths``: one set, or one per
+    camera segment."""
 
-    scene: object
-    wavelengths: object
+    scene: Scene
+    wavelengths: mi.Spectrum
 
     def at(self, segment):
         """Those of the camera segments ``segment`` (indices)."""
         return replace(self, wavelengths=arrays.of(self.wavelengths, segment))
 
     def follow(self, start, direction, distance, region, active=True):
-        """From points ``start`` (world) in ``region`` (an index) to what is ``distance`` away (or ``tolerances.ENDLESS``).
+        """From points ``start`` (world) in ``region`` (an index) to what is ``distance`` away (or
+        ``tolerances.ENDLESS``).
 
         Returns what is left of light on the way (Spectrum), and how many boundaries it crosses, or BLOCKED.
         """
@@ -57,15 +62,20 @@ class Transmittance:
             return o, left, behind, value, crossed, hit & passes
 
         state = (
-            mi.Point3f(start) + dr.zeros(mi.Point3f, n), distance + dr.zeros(mi.Float, n),
-            dr.zeros(mi.UInt32, n) + region, dr.full(mi.Spectrum, 1, n), dr.zeros(mi.UInt32, n), dr.full(mi.Bool, True, n) & active,
-        )  # fmt: skip
+            mi.Point3f(start) + dr.zeros(mi.Point3f, n),
+            distance + dr.zeros(mi.Float, n),
+            dr.zeros(mi.UInt32, n) + region,
+            dr.full(mi.Spectrum, 1, n),
+            dr.zeros(mi.UInt32, n),
+            dr.full(mi.Bool, True, n) & active,
+        )
         end = dr.while_loop(state, lambda *x: x[-1], step, label="transmittance", mode="symbolic")
         return dr.select(end[4] == BLOCKED, mi.Spectrum(0), end[3]), end[4]
 
     def _cross(self, direction, region, pi, hit, crossed):
-        """What a hit with a boundary that does not refract means: what it counts for (0 if it is none), the region before it, the
-        distance to just behind it, the share of the light that passes, and the region there."""
+        """What a hit with a boundary that does not refract means: what it counts for (0 if it is none), the
+        region before it, the distance to just behind it, the share of the light that passes, and the region
+        there."""
         scene = self.scene
         met = Hit.of(scene, direction, pi, hit)
         count = dr.gather(mi.UInt32, scene.straight, met.target, met.boundary)

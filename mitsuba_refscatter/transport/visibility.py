@@ -11,6 +11,7 @@ import numpy as np
 from .. import tolerances
 from ..core import arrays
 from ..geometry import silhouette, triangle
+from ..scene.boundaries import box_of, boxes_meet
 
 SAMPLES = ((0.1, 0.1), (0.8, 0.1), (0.1, 0.8), (1 / 3, 1 / 3))
 """(u, v) of points of a triangle that are asked whether they are lit."""
@@ -20,10 +21,11 @@ class Shadows:
     """The shadow tests of one light in one body, whose triangles are among ``records``.
 
     ``lit(P, Ng, L, active)``: nothing between the light and P (body coordinates); ``inside(P, Ng, direction,
-    length, active)``: nothing between P and the point at ``length``. A test is None where nothing can be in
-    the way: a convex body does not shadow itself; ``guests``: whether other shapes may be inside. ``incidence``: ``optics.Incidence`` of the light, one, for ``seen`` alone; ``emitter``: a
-    shape that the light's points lie on, where it is convex: it is not in the way of what it sends. Light that comes to the body
-    through media is followed by ``Transmittance`` instead; ``sampled``: whether what is lit may be judged by samples.
+    length, active)``: nothing between P and the point at ``length``. A test is None where nothing can be in the
+    way: a convex body does not shadow itself; ``guests``: whether other shapes may be inside. ``incidence``:
+    ``optics.Incidence`` of the light, one, for ``seen`` alone; ``emitter``: a shape that the light's points lie
+    on, where it is convex: it is not in the way of what it sends. Light that comes to the body through media is
+    followed by ``Transmittance`` instead; ``sampled``: whether what is lit may be judged by samples.
     """
 
     def __init__(self, scene, body, records, incidence, emitter, sampled):
@@ -84,7 +86,7 @@ class Shadows:
         ]
         uniform = self._uniform(corners, np.concatenate(edges), triangles, light)
         for shape in self.others:
-            uniform &= _beside(corners, shape.bbox(), light, distant)
+            uniform &= _beside(corners, box_of(shape), light, distant)
         tri = triangle.gather(self.records, triangles)
         visible = self.lit(tri.position(1 / 3, 1 / 3), tri.Ng, self.light.L, True)
         uniform = arrays.array(mi.Bool, uniform)
@@ -104,7 +106,7 @@ class Shadows:
         others = self.others + [b.shape for b in self.scene.bodies if b.shape is not self.body.shape]
         if others:
             corners = self.body.corners[triangles.numpy().astype(np.int64) - self.body.first_record]
-            alone = [_beside(corners, shape.bbox(), self._light_in_world(), self.light.distant) for shape in others]
+            alone = [_beside(corners, box_of(shape), self._light_in_world(), self.light.distant) for shape in others]
             alone = arrays.array(mi.Bool, np.all(alone, axis=0))
             some, all_of_it = some | ~alone, all_of_it & alone
         kept = dr.compress(some)
@@ -136,10 +138,9 @@ def _beside(corners, box, light, distant):
         low, high = np.where(light < 0, -np.inf, low), np.where(light > 0, np.inf, high)
     else:
         low, high = np.minimum(low, light), np.maximum(high, light)
-    return (high < np.array(box.min)).any(axis=1) | (low > np.array(box.max)).any(axis=1)
+    return (high < box[0]).any(axis=1) | (low > box[1]).any(axis=1)
 
 
 def meets(body, shape):
     """Whether the boxes of a body and of another shape have points in common."""
-    box = shape.bbox()
-    return bool((body.box[0] <= np.array(box.max).ravel()).all() and (np.array(box.min).ravel() <= body.box[1]).all())
+    return boxes_meet(body.box, box_of(shape))
