@@ -41,7 +41,7 @@ def render(sample, frame, develop, evaluate):
     ``sample(sampler, ray, ray weight, active, batch, progress) -> (radiance, valid, extra channels)``;
     ``develop``, ``evaluate``: as in Mitsuba's ``Integrator.render``.
     """
-    sensor, seed, spp, sequence = frame.sensor, frame.seed, frame.spp, frame.sequence
+    sensor, seed, spp = frame.sensor, frame.seed, frame.spp
     aovs, progress, watch = frame.aovs, frame.progress, frame.watch
     film, sampler = sensor.film(), sensor.sampler().clone()
     if spp:
