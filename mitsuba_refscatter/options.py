@@ -31,6 +31,10 @@ class Common:
     surfaces: bool = field(
         default=True, metadata={"meaning": "also show what is seen by reflection and through bodies"}
     )
+    max_depth: int = field(
+        default=-1,
+        metadata={"range": (-1, 1 << 30), "meaning": "edges of the longest path between surfaces; -1: any number"},
+    )
     aovs: str = field(default="", metadata={"meaning": "extra channels, comma-separated names of AOVS"})
 
 

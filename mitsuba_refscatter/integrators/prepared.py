@@ -98,7 +98,7 @@ def prepare(scene, options, cache, seed, straight=False, changes=None):
     changes   fields of ``tolerances.Accuracy`` by name, in place of those that the tolerance decides
     """
     cache.next_round()
-    records = read(scene, options.tolerance, cache, straight)
+    records = read(scene, options.tolerance, cache, straight, options.surfaces)
     estimator = ESTIMATORS[options.estimator]
     accuracy = replace(tolerances.accuracy(options.tolerance), **(changes or {}))
     if options.samples:

@@ -8,11 +8,12 @@ from ..core.cache import Cache
 from ..core.sobol import Batch, Sequence
 from ..estimators.wavefront import Counts
 from ..scene import SceneError, refuse_gradients
+from ..transport.surface_paths import SurfaceLimits
 from . import messages, single_scattering
 from .hooks import Hooks
 from .prepared import prepare
 from .render_pass import RenderPass
-from .surfaces import nested_integrator, seed_from
+from .surfaces import refuse_nested, seed_from
 
 
 class RefscatterIntegrator(mi.SamplingIntegrator):
@@ -56,9 +57,10 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
        - |string|
        - Extra channels: ``single_scatter``, ``surfaces``, ``candidates``, ``contributions``,
          ``unresolved``, comma-separated. (Default: none)
-     * - (Nested plugin)
-       - |integrator|
-       - Shades surfaces; must ignore media. (Default: ``path``)
+     * - max_depth
+       - |int|
+       - Edges of the longest path between surfaces, counted from the camera, as of ``volpath``; -1: any number.
+         (Default: -1)
 
     .. code-block:: python
 
@@ -92,7 +94,8 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         super().__init__(props)
         platform.require_usable(mi.variant())
         self.options = options.read(props, self.known)
-        self.nested = nested_integrator(props, self.hide_emitters)
+        refuse_nested(props)
+        self.surfaces = SurfaceLimits(self.options.max_depth, self.hide_emitters)
         self.cache, self.messages = Cache(), messages.Messages()
 
     def aov_names(self):
@@ -153,5 +156,5 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         """``RenderPass`` of this plugin."""
         return RenderPass(
             prepared=prepared, options=self.options, medium=medium, scatter=self.scatter, missing=self.missing_in_media,
-            nested=self.nested, messages=self.messages, counts=counts, refracts=self.refracts, whole=whole,
+            surfaces=self.surfaces, messages=self.messages, counts=counts, refracts=self.refracts, whole=whole,
         )  # fmt: skip

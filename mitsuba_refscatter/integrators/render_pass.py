@@ -9,14 +9,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import film, missing, options, tolerances
+from .. import film, options, tolerances
 from ..estimators.wavefront import Counts
 from ..scene import region_of_camera
 from ..transport import camera_paths
+from ..transport.surface_paths import SurfaceLimits
 from . import messages
 from .prepared import Prepared
 from .single_scattering import Samples
-from .surfaces import shade
+from .surfaces import seed_from, shade
 
 
 @dataclass
@@ -28,7 +29,7 @@ class RenderPass:
     medium    that the sensor names, or None
     scatter   (prepared, paths, samples, counts, sampler) -> ``Sums``: how the plugin computes single scattering
     missing   (scene) -> sentences: what the plugin says of light that is not computed in media
-    nested    integrator that shades surfaces
+    surfaces  how far sampled paths between surfaces go
     messages  where warnings go
     counts    where the work is counted
     refracts  whether the plugin solves for light that is refracted
@@ -40,7 +41,7 @@ class RenderPass:
     medium: mi.Medium | None
     scatter: Callable
     missing: Callable
-    nested: mi.SamplingIntegrator
+    surfaces: SurfaceLimits
     messages: messages.Messages
     counts: Counts
     refracts: bool
@@ -58,7 +59,7 @@ class RenderPass:
         """
         ray, wanted = mi.Ray3f(ray), options.aov_list(self.options)
         self._warn_of_missing_light(ray)
-        paths = self._trace(ray, active)
+        paths = self._trace(sampler, ray, active)
         self._warn_of_lights_at_the_camera(ray, paths)
         single = self._single_scattering(paths, sampler, ray, batch, progress)
         unresolved = single.unresolved > dr.opaque(mi.Float, self.options.tolerance) * dr.max(single.value)
@@ -79,11 +80,12 @@ class RenderPass:
         """Whether warnings are worth their time: of a few rays the estimate would cost more than they do."""
         return self.whole or n >= tolerances.MISSING_PHOTONS
 
-    def _trace(self, ray, active):
+    def _trace(self, sampler, ray, active):
         """The chain of segments of each ray, and its ends."""
         prepared, opt = self.prepared, self.options
         start = prepared.once(lambda: region_of_camera(prepared.scene, self.medium, _ends(ray)[0][0]), "start")
-        limits = camera_paths.Limits(opt.internal_bounces, opt.surfaces, prepared.accuracy.weight)
+        seed = seed_from(sampler) if opt.surfaces else 0
+        limits = camera_paths.Limits(opt.internal_bounces, opt.surfaces, prepared.accuracy.weight, seed)
         return camera_paths.trace(prepared.scene, ray, active, start, limits)
 
     def _warn_of_missing_light(self, ray):
@@ -108,14 +110,10 @@ class RenderPass:
         return self.scatter(self.prepared, paths, samples, self.counts, sampler)
 
     def _surfaces(self, paths, sampler, ray):
-        """Radiance that the ends of the chains bring, and which rays hit anything. Says what is wrong with it."""
+        """Radiance that surfaces bring, and which rays hit anything."""
         if not self.options.surfaces:
             return mi.Spectrum(0), paths.hit
-        scene, prepared = self.prepared.scene, self.prepared
-        found = shade(self.nested, scene.mi_scene, paths, sampler, ray)
-        if paths.ends and self._tells(dr.width(ray)):
-            prepared.once(lambda: self.messages.warn(missing.on_surfaces(scene, paths.ends)), "missing on surfaces")
-        return found
+        return shade(self.prepared.scene, paths, ray, self.surfaces, seed_from(sampler))
 
 
 def _ends(ray):

@@ -20,7 +20,7 @@ from .support import refusal
 from .surfaces import shape_number
 
 
-def read(scene, tolerance, cache, straight=False):
+def read(scene, tolerance, cache, straight=False, surfaces=False):
     """Reads a ``mi.Scene``; ``tolerance``: relative error of the image that replacing curved shapes by meshes may
     cause; ``cache``: ``Cache``; ``straight``: whether light goes straight through all boundaries, as if they were
     ``null`` (camera rays are refracted all the same). Raises ``SceneError`` for what cannot be rendered."""
@@ -34,7 +34,7 @@ def read(scene, tolerance, cache, straight=False):
                 body_reader.read(shape, kind, len(bodies), sum(body.triangle_count for body in bodies), cache)
             )
     regions = Regions(bodies, scene.sensors()).found
-    if not any(region.medium is not None for region in regions):
+    if not surfaces and not any(region.medium is not None for region in regions):
         raise SceneError(
             "the scene has no body with a medium, so there is no scattering to compute: give a mesh a "
             '<bsdf type="dielectric"/> and a <medium name="interior" type="homogeneous"/>'

@@ -301,3 +301,9 @@ then good to 1e-3."""
 
 PEAK = 0.05
 """How much of the largest radiance per unit length a maximum along a probed segment stands out by."""
+
+ROULETTE_DEPTH = 5
+"""Edges after which paths between surfaces go on by Russian roulette."""
+
+ROULETTE_MOST = 0.95
+"""The largest probability to go on."""

@@ -34,6 +34,7 @@ class Legs:
     region       UInt32, the region around, or NONE
     reflections  UInt32, number of internal reflections so far
     entries      UInt32, number of hits from outside so far
+    depth        UInt32, edges before this one, those through boundaries that do not refract not counted
     back         Vector3f, from the origin, rounded in world coordinates, to the point where the leg starts
     """
 
@@ -44,6 +45,7 @@ class Legs:
     region: mi.UInt32
     reflections: mi.UInt32
     entries: mi.UInt32
+    depth: mi.UInt32
     back: mi.Vector3f
 
     def gather(self, index):
@@ -63,15 +65,15 @@ class Legs:
 class Paths:
     """What a set of camera rays meets.
 
-    parts   per region a list of ``CameraSegments``, those of each step of the chains
-    ends    ``Legs`` that reach a plain surface or escape (their weight includes the way there)
-    direct  whether the first of these are the camera rays that meet no boundary or mirror
-    hit     Bool per camera ray, whether it hits anything
+    parts    per region a list of ``CameraSegments``, those of each step of the chains
+    ends     list of ``Legs`` that reach a plain surface or escape; their weight includes the way there
+    dropped  list of ``Legs`` that the chain does not follow, some of them: these stand for all
+    hit      Bool per camera ray, whether it hits anything
     """
 
     parts: list
     ends: list
-    direct: bool
+    dropped: list
     hit: mi.Bool
 
     def segments(self, region):
@@ -87,11 +89,13 @@ class Limits:
     internal_bounces  number of internal reflections, and of hits from outside after the first
     surfaces          whether their ends at plain surfaces are wanted
     least_weight      legs of less are dropped
+    seed              of the choice which dropped legs go on as sampled paths
     """
 
     internal_bounces: int
     surfaces: bool
     least_weight: float
+    seed: int = 0
 
 
 @dataclass
@@ -106,6 +110,7 @@ class _Walk:
     paths: Paths
     again: bool
     first: bool = True
+    step: int = 0
 
     def counted(self, counts):
         """1 where a hit counts towards the number of hits from outside, which the first one never does; else 0."""
@@ -125,15 +130,15 @@ def trace(scene, ray, active, start, limits):
     legs = Legs(
         mi.Point3f(ray.o) + dr.zeros(mi.Point3f, n), ray.d, mi.Spectrum(1) + dr.zeros(mi.Spectrum, n),
         dr.arange(mi.UInt32, n), dr.opaque(mi.UInt32, start, n), dr.zeros(mi.UInt32, n), dr.zeros(mi.UInt32, n),
-        dr.zeros(mi.Vector3f, n),
+        dr.zeros(mi.UInt32, n), dr.zeros(mi.Vector3f, n),
     )  # fmt: skip
     if not isinstance(active, bool) or not active:
         legs = legs.gather(dr.compress(mi.Bool(active) & dr.full(mi.Bool, True, n)))
-    paths = Paths([[] for _ in scene.regions], [], False, dr.zeros(mi.Bool, n))
+    paths = Paths([[] for _ in scene.regions], [], [], dr.zeros(mi.Bool, n))
     walk = _Walk(scene, ray, limits, paths, _may_enter_again(scene, limits))
     while len(legs) > 0:
         legs = _advance(walk, legs)
-        walk.first = False
+        walk.first, walk.step = False, walk.step + 1
     return paths
 
 
@@ -162,10 +167,11 @@ def _advance(walk, legs):
 
     _record(walk, legs, hit.valid, length)
     if walk.limits.surfaces:
-        ends = dr.compress(dr.select(hit.valid, ~hit.boundary & ~mirror, dr.max(arriving.weight) > 0))
+        # Mirrors that the chain does not follow are surfaces like others.
+        followed = hit.boundary | (mirror & _counts(walk, arriving))
+        ends = dr.compress(dr.select(hit.valid, ~followed, dr.max(arriving.weight) > 0))
         if dr.width(ends) > 0:
             paths.ends.append(arriving.gather(ends))
-            paths.direct |= walk.first
     on = _split(walk, arriving, hit)
     if scene.mirrors is not None:
         on += _reflected(walk, arriving, hit.pi, mirror)
@@ -255,17 +261,40 @@ def _split(walk, legs, hit):
             goes_on &= reflections <= limits.internal_bounces
         if not limits.surfaces:
             goes_on &= start.goes_in | mi.Bool(walk.again)
-        on = Legs(start.origin, mi.Vector3f(d), weight, legs.sample, start.region,
-                  reflections if mirrored else legs.reflections, entries, start.back)  # fmt: skip
+        passes = False if mirrored else scene.lets_pass(hit)
+        on = Legs(
+            o=start.origin, d=mi.Vector3f(d), weight=weight, sample=legs.sample, region=start.region,
+            reflections=reflections if mirrored else legs.reflections, entries=entries,
+            depth=legs.depth + dr.select(passes, mi.UInt32(0), 1), back=start.back,
+        )  # fmt: skip
+        if limits.surfaces:
+            _drop(walk, on, importance, hit.boundary & ~goes_on, 2 * walk.step + mirrored)
         index = dr.compress(goes_on)
         if dr.width(index) > 0:
             out.append(on.gather(index))
     return out
 
 
+def _drop(walk, legs, importance, dropped, number):
+    """Keeps some of the legs that the chain does not follow, by Russian roulette: those that are left bring as much as all."""
+    n = len(legs)
+    q = dr.minimum(importance, 1)
+    u = mi.sample_tea_float32(dr.arange(mi.UInt32, n), dr.opaque(mi.UInt32, walk.limits.seed + number))
+    kept = dr.compress(dropped & (u < q))
+    if dr.width(kept) > 0:
+        some = replace(legs, weight=legs.weight / dr.maximum(q, 1e-30)).gather(kept)
+        dr.eval(some)
+        walk.paths.dropped.append(some)
+
+
+def _counts(walk, legs):
+    """Which legs the chain follows behind a mirror."""
+    return legs.entries + mi.UInt32(0 if walk.first else 1) <= walk.limits.internal_bounces
+
+
 def _reflected(walk, legs, pi, mirror):
     """The legs behind a hit with a mirror; a list of at most one ``Legs``."""
-    met = dr.compress(mirror & (legs.entries + (0 if walk.first else 1) <= walk.limits.internal_bounces))
+    met = dr.compress(mirror & _counts(walk, legs))
     if dr.width(met) == 0:
         return []
     legs, pi = legs.gather(met), dr.gather(type(pi), pi, met)
@@ -278,8 +307,12 @@ def _reflected(walk, legs, pi, mirror):
         d=d,
         weight=legs.weight * value,
         entries=legs.entries + mi.UInt32(0 if walk.first else 1),
+        depth=legs.depth + mi.UInt32(1),
         back=dr.zeros(mi.Vector3f, dr.width(d)),
     )
     dr.eval(on)  # the mirrors are asked once
-    index = dr.compress(dr.max(on.weight) > walk.limits.least_weight)
+    brings = dr.max(on.weight)
+    if walk.limits.surfaces:
+        _drop(walk, on, brings, brings <= walk.limits.least_weight, 2 * walk.step)
+    index = dr.compress(brings > walk.limits.least_weight)
     return [on.gather(index)] if dr.width(index) > 0 else []

@@ -22,11 +22,16 @@ BLOCKED = 0xFFFFFFFF
 
 @dataclass
 class Transmittance:
-    """Straight lines through the regions of a scene (``scene.Scene``). ``wavelengths``: one set, or one per
-    camera segment."""
+    """Straight lines through the regions of a scene.
+
+    scene        ``scene.Scene``
+    wavelengths  one set, or one per line
+    unbent       whether boundaries that refract are in the way also where the scene lets light go straight through them
+    """
 
     scene: Scene
     wavelengths: mi.Spectrum
+    unbent: bool = False
 
     def at(self, segment):
         """Those of the camera segments ``segment`` (indices)."""
@@ -79,7 +84,7 @@ class Transmittance:
         scene = self.scene
         met = Hit.of(scene, direction, pi, hit)
         count = dr.gather(mi.UInt32, scene.straight, met.target, met.boundary)
-        passes = met.boundary & (count > 0) & (crossed + count < 2 * ONCE)
+        passes = met.boundary & (count > 0) & (crossed + count < (ONCE if self.unbent else 2 * ONCE))
         cosine, factor = dr.dot(direction, met.tri.Ng), mi.Spectrum(1)
         if scene.thin is not None:
             eta = dr.select(passes, dr.gather(mi.Float, scene.eta, met.target, passes), 1)

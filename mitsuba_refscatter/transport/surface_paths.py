@@ -1,0 +1,219 @@
+"""Sampled paths from where the camera's deterministic chain ends, through media that absorb them.
+
+At plain surfaces light is gathered by emitter and BSDF sampling with multiple importance sampling (Veach and Guibas 1995, balance
+heuristic). Boundaries are sampled as what they are. On every leg, also those to lights, media leave exp(-sigma_t length); what they scatter
+is not followed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import tolerances
+from ..core import arrays
+from ..core.arrays import NONE
+from ..scene import Scene
+from .camera_paths import Legs
+from .crossing import Hit
+from .transmittance import Transmittance
+
+
+@dataclass
+class SurfaceLimits:
+    """How far paths go.
+
+    max_depth      edges of the longest path from the camera, those through boundaries that do not refract not counted; -1: any number
+    hide_emitters  whether emitters that the camera sees directly are left out
+    """
+
+    max_depth: int
+    hide_emitters: bool
+
+
+@dataclass
+class _Path:
+    """The state of paths.
+
+    o, d        Point3f and Vector3f: the ray, world
+    region      UInt32, the region around it, or NONE
+    throughput  Spectrum, relative to the leg that it started as
+    radiance    Spectrum, found so far, the same
+    depth       UInt32, edges before the ray
+    arrived     Bool, whether the throughput holds already what media take on the ray
+    delta       Bool, whether the last vertex has a direction of no width, so that no light was sampled there
+    pdf         Float, of the direction at the last vertex, 1/sr
+    last        Point3f, that vertex
+    eta         Float, index of refraction around the ray relative to where it started
+    random      where random numbers come from
+    seen        Bool, whether the first ray meets anything that can be seen
+    active      Bool
+    """
+
+    o: mi.Point3f
+    d: mi.Vector3f
+    region: mi.UInt32
+    throughput: mi.Spectrum
+    radiance: mi.Spectrum
+    depth: mi.UInt32
+    arrived: mi.Bool
+    delta: mi.Bool
+    pdf: mi.Float
+    last: mi.Point3f
+    eta: mi.Float
+    random: mi.PCG32
+    seen: mi.Bool
+    active: mi.Bool
+
+
+class SurfacePaths:
+    """Paths in a scene. ``ray``: the camera's, whose times and wavelengths count."""
+
+    def __init__(self, scene: Scene, ray, limits: SurfaceLimits):
+        self.scene, self.ray, self.limits = scene, ray, limits
+        most = (1 << 30) if limits.max_depth < 0 else limits.max_depth
+        self.max_depth = dr.opaque(mi.UInt32, most)
+
+    def radiance(self, legs: Legs, arrived, seed):
+        """Radiance (Spectrum) that arrives along legs, without their weights, and whether they meet anything that is seen (Bool).
+
+        arrived  whether the weights hold already what media take on the way to what legs meet first
+        seed     of random numbers
+        """
+        n = len(legs)
+        self.time = arrays.of(self.ray.time, legs.sample)
+        self.wavelengths = arrays.of(self.ray.wavelengths, legs.sample)
+        self.transmittance = Transmittance(self.scene, self.wavelengths, unbent=True)
+        o = self._past_emitters(legs) if self.limits.hide_emitters else legs.o
+        path = _Path(
+            o=mi.Point3f(o), d=mi.Vector3f(legs.d), region=mi.UInt32(legs.region), throughput=dr.full(mi.Spectrum, 1, n),
+            radiance=dr.zeros(mi.Spectrum, n), depth=mi.UInt32(legs.depth), arrived=dr.full(mi.Bool, arrived, n),
+            delta=dr.full(mi.Bool, True, n), pdf=dr.full(mi.Float, 1, n), last=mi.Point3f(o), eta=dr.full(mi.Float, 1, n),
+            random=mi.PCG32(size=n, initstate=dr.opaque(mi.UInt64, seed)), seen=dr.full(mi.Bool, False, n),
+            active=dr.full(mi.Bool, True, n),
+        )  # fmt: skip
+        (end,) = dr.while_loop(
+            (path,), lambda path: path.active, lambda path: (self._vertex(path),), label="surfaces", mode="symbolic"
+        )
+        return end.radiance, end.seen
+
+    def _vertex(self, path):
+        """One leg of each path, and what its end brings and does."""
+        scene, limits = self.scene.mi_scene, self.limits
+        ray = self._ray(path.o, path.d)
+        pi = scene.ray_intersect_preliminary(ray, coherent=False, active=path.active)
+        si = pi.compute_surface_interaction(ray, mi.RayFlags.All, path.active)
+        hit = self._hit(path, pi)
+        region = path.region if hit is None else dr.select(hit.boundary, hit.near, path.region)
+        throughput = path.throughput * dr.select(path.arrived, 1, self._left(path.d, region, si))
+
+        emitter = si.emitter(scene, path.active)
+        visible = path.active & (path.depth < self.max_depth) & (emitter != None)  # noqa: E711 - lane by lane
+        if limits.hide_emitters:
+            visible &= path.depth > 0
+        found = emitter.eval(si, visible) * self._weight_of_met(path, si, visible)
+        radiance = path.radiance + dr.select(visible, throughput * found, 0)
+
+        goes_on = path.active & si.is_valid() & (path.depth + 1 < self.max_depth)
+        bsdf = si.bsdf(ray)
+        lit = goes_on & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        random = path.random
+        u = mi.Point2f(random.next_float32(), random.next_float32())
+        radiance += dr.select(lit, throughput * self._from_emitters(si, bsdf, region, u, lit), 0)
+
+        w, u = random.next_float32(), mi.Point2f(random.next_float32(), random.next_float32())
+        sample, weight = bsdf.sample(mi.BSDFContext(), si, w, u, goes_on)
+        d = si.to_world(sample.wo)
+        throughput *= weight
+        passes = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        # Behind a boundary that does not refract the last vertex still sees the lights. Other surfaces block its view.
+        unseen = passes if hit is None else passes & ~hit.boundary
+        vertex = ~passes | unseen
+        if hit is not None:
+            through = dr.dot(path.d, si.n) * dr.dot(d, si.n) > 0
+            region = dr.select(hit.boundary, dr.select(through, hit.behind, hit.near), region)
+        eta = path.eta * sample.eta
+        depth = path.depth + dr.select(passes, mi.UInt32(0), 1)
+        # Russian roulette, by what is left without what refraction does to radiance.
+        q = dr.minimum(dr.max(throughput) * dr.square(eta), tolerances.ROULETTE_MOST)
+        plays = depth >= tolerances.ROULETTE_DEPTH
+        survives = ~plays | (random.next_float32() < q)
+        throughput = dr.select(plays, throughput / dr.maximum(q, 1e-30), throughput)
+        return _Path(
+            o=mi.Point3f(si.spawn_ray(d).o),
+            d=mi.Vector3f(d),
+            region=region,
+            throughput=throughput,
+            radiance=radiance,
+            depth=depth,
+            arrived=dr.full(mi.Bool, False, 1) & path.active,
+            delta=dr.select(vertex, unseen | mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta), path.delta),
+            pdf=dr.select(vertex, sample.pdf, path.pdf),
+            last=mi.Point3f(dr.select(vertex, si.p, path.last)),
+            eta=eta,
+            random=random,
+            seen=path.seen | (path.arrived & path.active & self._is_seen(si)),
+            active=goes_on & survives & (dr.max(throughput) > 0),
+        )
+
+    def _ray(self, o, d):
+        ray = mi.Ray3f(o, d)
+        ray.time, ray.wavelengths = self.time, self.wavelengths
+        return ray
+
+    def _hit(self, path, pi):
+        """``Hit``, where regions matter."""
+        return Hit.of(self.scene, path.d, pi, path.active) if self.scene.regions else None
+
+    def _left(self, d, region, si):
+        """What media leave of light on legs (Spectrum)."""
+        sigma_t = mi.Spectrum(0)
+        for one in self.scene.regions:
+            if one.medium is not None:
+                along = one.coefficients(self.wavelengths, d)[1]
+                sigma_t = dr.select(region == one.index, along, sigma_t)
+        within = region != NONE
+        return dr.exp(-sigma_t * dr.select(within, dr.select(si.is_valid(), si.t, tolerances.ENDLESS), 0))
+
+    def _weight_of_met(self, path, si, active):
+        """The balance heuristic for emitters that are met."""
+        last = dr.zeros(mi.SurfaceInteraction3f, dr.width(path.last))
+        last.p = path.last
+        there = mi.DirectionSample3f(self.scene.mi_scene, si, last)
+        other = self.scene.mi_scene.pdf_emitter_direction(last, there, active & ~path.delta)
+        return dr.select(path.delta, 1, _balance(path.pdf, other))
+
+    def _from_emitters(self, si, bsdf, region, u, active):
+        """What comes straight from emitters, times the BSDF (Spectrum)."""
+        there, weight = self.scene.mi_scene.sample_emitter_direction(si, u, False, active)
+        active &= there.pdf != 0
+        endless = mi.has_flag(there.emitter.flags(), mi.EmitterFlags.Infinite)
+        distance = dr.select(endless, tolerances.ENDLESS, there.dist * (1 - tolerances.SHADOW_END))
+        left, _ = self.transmittance.follow(si.spawn_ray(there.d).o, there.d, distance, region, active)
+        value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, si.to_local(there.d), active)
+        return value * weight * left * dr.select(there.delta, 1, _balance(there.pdf, pdf))
+
+    def _is_seen(self, si):
+        """Whether what rays meet first is there for the alpha channel."""
+        sky = self.scene.mi_scene.environment() is not None and not self.limits.hide_emitters
+        return si.is_valid() | mi.Bool(sky)
+
+    def _past_emitters(self, legs):
+        """Origins of legs beyond the emitters that the camera sees first."""
+        scene = self.scene.mi_scene
+
+        def step(o, active):
+            ray = self._ray(o, legs.d)
+            si = scene.ray_intersect(ray, mi.RayFlags.Minimal, False, active)
+            active &= si.is_valid() & si.shape.is_emitter()
+            return dr.select(active, si.spawn_ray(legs.d).o, o), active
+
+        state = mi.Point3f(legs.o), mi.UInt32(legs.depth) == 0
+        return dr.while_loop(state, lambda _, active: active, step, label="hidden emitters", mode="symbolic")[0]
+
+
+def _balance(a, b):
+    """The balance heuristic for two densities, 1/sr."""
+    return dr.select(a + b > 0, a / (a + b), 0)
