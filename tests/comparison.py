@@ -13,6 +13,7 @@ from scipy import stats
 MEAN_LIMIT = 3.0  # largest |z| of an image mean
 BLOCK_LIMIT = 4.5  # largest |z| of a block; one of 1,000 blocks exceeds it with probability 0.7 %
 CHI2_TAIL = 1e-3  # chi-square of the blocks must be in its 0.1 % to 99.9 % range
+ROUNDING = 1e-6  # of float32 images, relative
 DARK = 0.05  # blocks darker than this, relative to the image mean, hold too few paths for a z-test
 
 
@@ -66,8 +67,9 @@ def z_values(a, b):
 
 def _z(a, b):
     """The same of (count, mean, variance)."""
-    va, vb = a[2] / a[0], b[2] / b[0]
-    difference, variance = a[1] - b[1], np.maximum(va + vb, 1e-300)
+    rounding = (ROUNDING * (np.abs(a[1]) + np.abs(b[1]))) ** 2 + 1e-300  # where both have no noise, as under an even sky
+    va, vb = a[2] / a[0] + rounding, b[2] / b[0] + rounding
+    difference, variance = a[1] - b[1], va + vb
     freedom = variance**2 / np.maximum(va**2 / (a[0] - 1) + vb**2 / (b[0] - 1), 1e-300)
     t = difference / np.sqrt(variance)
     z = np.sign(t) * stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), freedom), 1e-300))

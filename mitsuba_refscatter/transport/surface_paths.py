@@ -190,8 +190,9 @@ class SurfacePaths:
         there, weight = self.scene.mi_scene.sample_emitter_direction(si, u, False, active)
         active &= there.pdf != 0
         endless = mi.has_flag(there.emitter.flags(), mi.EmitterFlags.Infinite)
-        distance = dr.select(endless, tolerances.ENDLESS, there.dist * (1 - tolerances.SHADOW_END))
-        left, _ = self.transmittance.follow(si.spawn_ray(there.d).o, there.d, distance, region, active)
+        ray = si.spawn_ray_to(there.p)  # from off the surface, which may be nearer by more than an emitter is thick
+        distance = dr.select(endless, tolerances.ENDLESS, ray.maxt)
+        left, _ = self.transmittance.follow(ray.o, ray.d, distance, region, active)
         value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, si.to_local(there.d), active)
         return value * weight * left * dr.select(there.delta, 1, _balance(there.pdf, pdf))
 
