@@ -67,7 +67,9 @@ def z_values(a, b):
 
 def _z(a, b):
     """The same of (count, mean, variance)."""
-    rounding = (ROUNDING * (np.abs(a[1]) + np.abs(b[1]))) ** 2 + 1e-300  # where both have no noise, as under an even sky
+    rounding = (
+        ROUNDING * (np.abs(a[1]) + np.abs(b[1]))
+    ) ** 2 + 1e-300  # where both have no noise, as under an even sky
     va, vb = a[2] / a[0] + rounding, b[2] / b[0] + rounding
     difference, variance = a[1] - b[1], va + vb
     freedom = variance**2 / np.maximum(va**2 / (a[0] - 1) + vb**2 / (b[0] - 1), 1e-300)

@@ -31,13 +31,17 @@ ASKS = {
     "light/simplification.py": {"ray_intersect_preliminary"},
     "light/light_samples.py": {"sample_position"},
     "probing/__init__.py": {"ray_intersect_preliminary", "sensors"},
-    "transport/crossing.py": {"ray_intersect_preliminary", "compute_surface_interaction", "bsdf"},  # the latter two of mirrors
+    "transport/crossing.py": {
+        "ray_intersect_preliminary",
+        "compute_surface_interaction",
+        "bsdf",
+    },  # the latter two of mirrors
     "transport/transmittance.py": {"ray_intersect_preliminary"},
     "transport/visibility.py": TRACING,
 }
 """What modules of the renderer but ``scene/`` ask scenes, shapes and media of Mitsuba's for."""
 
-HANDS_ON = {"integrators/render_pass.py"}
+HANDS_ON = set()
 """Who gives Mitsuba's scene to others: to the nested integrator."""
 
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")

@@ -45,7 +45,7 @@ class PhotonIntegrator(RefscatterIntegrator):
        - |float|
        - 1: the radius stays; in (0, 1) it shrinks from pass to pass, so that bias and variance both vanish.
          (Default: 1)
-     * - tolerance, internal_bounces, light_samples, surfaces, aovs, (Nested plugin)
+     * - tolerance, internal_bounces, light_samples, surfaces, max_depth, aovs
        -
        - As of ``refscatter``; ``tolerance`` is that of light which comes without refraction.
 

@@ -51,8 +51,8 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
          sequence with the light points, not from the sampler (``sequence``). (Default: 16)
      * - surfaces
        - |bool|
-       - Also what is seen by reflection and through the bodies, shaded by the nested integrator.
-         (Default: true)
+       - Also what is seen by reflection and through the bodies, shaded by sampled paths. Media
+         absorb light on them. (Default: true)
      * - aovs
        - |string|
        - Extra channels: ``single_scatter``, ``surfaces``, ``candidates``, ``contributions``,

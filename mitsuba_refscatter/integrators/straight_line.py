@@ -13,7 +13,7 @@ class StraightIntegrator(RefscatterIntegrator):
 
     .. pluginparameters::
 
-     * - tolerance, internal_bounces, light_samples, surfaces, aovs, (Nested plugin)
+     * - tolerance, internal_bounces, light_samples, surfaces, max_depth, aovs
        -
        - As of ``refscatter``. Light points are those of its culling ``beams``.
 

@@ -63,8 +63,10 @@ def read(scene, tolerance, cache, straight=False, surfaces=False):
             )
         },
         centre=arrays.array(mi.Float, [x for body in bodies for x in body.centre] or [0, 0, 0]),
-        index2=arrays.array(mi.Float, np.square(_indices(bodies, regions))),
-        owner=arrays.array(mi.UInt32, [NONE if region.body is None else region.body.index for region in regions]),
+        index2=arrays.array(mi.Float, np.square(_indices(bodies, regions)) if regions else [1]),
+        owner=arrays.array(
+            mi.UInt32, [NONE if region.body is None else region.body.index for region in regions] or [NONE]
+        ),
         thin=_where(body.kind == "thin" for body in bodies),
         straight=arrays.array(mi.UInt32, [(body in passed) * (ONCE if body.refracts else 1) for body in bodies])
         if passed

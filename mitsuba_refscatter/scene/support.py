@@ -214,12 +214,6 @@ REFUSED = {
         "must be constant",
         "has a medium whose {what} varies in space: refscatter needs a constant one",
     ),
-    "twice": Part(
-        "integrator",
-        "a nested integrator that samples media",
-        "would count scattering twice",
-        "samples media, which would count scattering twice: use path",
-    ),
     "gradients": Part(
         "other",
         "derivatives",

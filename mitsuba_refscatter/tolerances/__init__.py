@@ -236,9 +236,6 @@ MISSING = 0.05
 MISSING_BEHIND = 0.005
 """The same for light that is refracted more than once: it is all that there is in a shadow."""
 
-MISSING_ON_SURFACES = 0.01
-"""Share of the light on surfaces that are seen from which on it is told that media are ignored."""
-
 MISSING_PHOTONS = 4096
 """Photons, and points on surfaces, by which it is estimated what is missing: shares of a percent are some ten of them."""
 
