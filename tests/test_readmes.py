@@ -1,4 +1,4 @@
-"""READMEs: links and pictures lead to something, commands and files that they name exist, and their tables name all that there is."""
+"""READMEs: links and pictures lead to something, commands and files that they name exist, tables name all there is."""
 
 import re
 import shlex

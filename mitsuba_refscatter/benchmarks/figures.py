@@ -1,4 +1,4 @@
-"""The figure of the method: a light path L -> P -> V, and the curve g = 0 on a body. Drawn by formulas in NumPy, without a render.
+"""The figure of the method: a light path L -> P -> V, and the curve g = 0 on a body. By formulas in NumPy, no render.
 
 ``python -m mitsuba_refscatter.benchmarks.figures FILE.png``
 """
@@ -36,13 +36,18 @@ def unit(v):
 
 
 def refract(d, n, eta):
-    """Direction behind a boundary of the unit directions ``d``, by Snell's law. ``n``: unit normals against d; ``eta``: index behind over before."""
+    """Unit directions ``d`` behind a boundary, by Snell's law. ``n``: unit normals against d; ``eta``: index behind
+    over that before.
+
+    >>> refract(np.array([0.6, -0.8]), np.array([0.0, 1.0]), 1.5).round(3).tolist()  # sines: 0.6 = 1.5 x 0.4
+    [0.4, -0.917]
+    """
     cosine = -(d * n).sum(axis=-1, keepdims=True)
     return d / eta + n * (cosine / eta - np.sqrt(1 - (1 - cosine**2) / eta**2))
 
 
 def hit(o, d, corners):
-    """First triangle of ``corners`` (F, 3, 3) that a ray meets, the barycentric coordinates (3,) there, and the distance."""
+    """First of the triangles (F, 3, 3) that a ray meets, the barycentric coordinates (3,) there, and the distance."""
     a, e1, e2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = np.cross(d, e2)
     inverse, q = 1 / (e1 * p).sum(axis=1), np.cross(o - a, e1)
@@ -88,8 +93,8 @@ def section(axes):
     ):  # fmt: skip
         axes.annotate(name, middle, place, textcoords="offset points", fontsize=13, color=color)
     for text, point, color in (
-        ("light beam", (-0.62, 0.55), ORANGE), ("boundary", (0.85, 0.17), "black"), ("camera segment", (0.5, -1.15), BLUE),
-        ("a region that scatters", (0.55, -1.55), GREY),
+        ("light beam", (-0.62, 0.55), ORANGE), ("boundary", (0.85, 0.17), "black"),
+        ("camera segment", (0.5, -1.15), BLUE), ("a region that scatters", (0.4, -1.6), GREY),
     ):  # fmt: skip
         axes.annotate(text, point, color=color, fontsize=11, ha="right" if text == "light beam" else "left")
     axes.set(xlim=(-1.9, 1.9), ylim=(-1.7, 2.4), aspect="equal", title="A light path L → P → V")
@@ -105,7 +110,13 @@ def camera_segment(P, faces, n):
 
 
 def zeros(g, faces, *values):
-    """Ends of the zeros of g on triangles, linear between the values (V,) at vertices, and there the ``values`` (V, k): (N, 2, k) each."""
+    """Values at the ends of the zeros of g on triangles: (N, 2, k) for each of ``values`` (V, k). All are linear in
+    between.
+
+    >>> corners = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]])
+    >>> zeros(np.array([1.0, -1.0, -3.0]), np.array([[0, 1, 2]]), corners)[0].tolist()
+    [[[2.0, 0.0], [0.0, 1.0]]]
+    """
     up = g[faces] > 0
     faces, up = (x[up.any(axis=1) & ~up.all(axis=1)] for x in (faces, up))
     lone = np.argmax(up == (up.sum(axis=1, keepdims=True) == 1), axis=1)  # the corner with a sign of its own
@@ -117,21 +128,21 @@ def zeros(g, faces, *values):
 
 
 def curve(figure, axes):
-    """The right panel: the zeros of g on the body, seen from the light; where they send light onto the segment, by t."""
+    """The right panel: the zeros of g on the body, seen from the light; where they light the segment, by t."""
     from matplotlib.collections import LineCollection
 
     across = unit(np.cross(-LIGHT, [0, 1, 0]))
     view = np.stack([across, unit(np.cross(across, -LIGHT))])
 
-    def lit(count):
-        """Vertices, lit faces, all faces, and normals."""
+    def facing(count):
+        """Vertices, faces that face the light, all faces, and normals."""
         P, faces, n = example_scenes.make_body("bumpy_sphere", count)
         a, b, c = (P[faces[:, k]] for k in range(3))
         return P, faces[(np.cross(b - a, c - a) * (LIGHT - a)).sum(axis=1) > 0], faces, n
 
-    P, drawn, _, _ = lit(COARSE)
+    P, drawn, _, _ = facing(COARSE)
     axes.triplot(*(view @ P.T), drawn, color="#d8d8d8", lw=0.5)
-    P, faces, every, n = lit(FINE)
+    P, faces, every, n = facing(FINE)
     o, d, length = camera_segment(P, every, n)
     omega = refract(unit(P - LIGHT), n, ETA)
     across_d = np.cross(d, omega)
