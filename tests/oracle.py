@@ -1,6 +1,6 @@
 """Ground truth in float64 NumPy: single scattering inside refractive triangle meshes, point lights.
 
-From the formulas of the papers alone (README); shares no code with the package.  World space, one length
+From the formulas of the papers alone (mitsuba_refscatter/README.md); shares no code with the package.  World space, one length
 unit; sigma_s, sigma_t in 1/length, intensity in W/sr, radiance in W/(m^2 sr).  C colour channels, a
 scalar counts as C = 1.  Directions are unit vectors.  eta = n_in / n_out; at 1 facet normals hold.
 All surfaces on P-L and P-V shadow.  Not modelled: nested bodies, lights inside, light-side bounces.
@@ -40,7 +40,7 @@ def phase(g, cosine):
     return (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
 
 
-# ---- The curve form (README, How it works) ------------------------------------------------------
+# ---- The curve form (mitsuba_refscatter/README.md) ------------------------------------------------------
 # Light refracted at (u,v), (...,3) and (...,1): w_l = omega_L, length = |N|, radicand = c_V^2.
 LightRay = namedtuple("LightRay", "point n omega w_l length d_l c_l radicand c_v")
 

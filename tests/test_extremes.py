@@ -1,6 +1,6 @@
 """Extremes of refraction, density, size, place and mesh, each against the float64 oracle.
 
-Part of ``make test-all``; run with ``-s`` it prints the README's table.
+Part of ``make test-all``; run with ``-s`` it prints the table of tests/README.md.
 """
 
 from dataclasses import dataclass, field, replace

@@ -31,7 +31,7 @@ def make(rgb, tmp_path):
 
 
 def test_the_readme_shows_the_list():
-    readme = Path(__file__).parent.parent / "README.md"
+    readme = Path(__file__).parent.parent / "mitsuba_refscatter" / "README.md"
     assert support.table() in readme.read_text(encoding="utf-8")
 
 
