@@ -79,7 +79,9 @@ def bumpy(rgb, tmp_path):
     o, d, t_max = chords(mesh, np.random.default_rng(6), 300)
 
     def made(culling):
-        return [one_body(mesh, 1.5, light, tmp_path, culling=culling, tolerance=0.0, accuracy=SAMPLES) for light in LIGHTS]
+        return [
+            one_body(mesh, 1.5, light, tmp_path, culling=culling, tolerance=0.0, accuracy=SAMPLES) for light in LIGHTS
+        ]
 
     return made, (o, d, t_max)
 

@@ -31,7 +31,11 @@ ASKS = {
     "light/simplification.py": {"ray_intersect_preliminary"},
     "light/light_samples.py": {"sample_position"},
     "probing/__init__.py": {"ray_intersect_preliminary", "sensors"},
-    "transport/crossing.py": {"ray_intersect_preliminary", "compute_surface_interaction", "bsdf"},  # the latter two of mirrors
+    "transport/crossing.py": {
+        "ray_intersect_preliminary",
+        "compute_surface_interaction",
+        "bsdf",
+    },  # the latter two of mirrors
     "transport/transmittance.py": {"ray_intersect_preliminary"},
     "transport/visibility.py": TRACING,
 }
