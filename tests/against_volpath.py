@@ -93,4 +93,4 @@ class Case:
 
     def agreement(self, name):
         """``Agreement`` of refscatter with what is kept of volpath."""
-        return compare(self.by_refscatter(), self.cache(name), BLOCK)
+        return compare(self.by_refscatter(), self.kept(name), BLOCK)
