@@ -36,7 +36,7 @@ NAMED = {
     ("geometry/triangle.py", "RECORD"): "numbers of a record",
     ("core/arrays.py", "ALIGNMENT"): "Dr.Jit's",
     ("core/arrays.py", "NONE"): "an index that means none",
-    ("scene/__init__.py", "ONCE"): "two counts in one number",
+    ("scene/records.py", "ONCE"): "two counts in one number",
     ("light/simplification.py", "QUARTER"): "steps of a ladder",
     ("light/light_samples.py", "BELOW_ONE"): "float32's",
     ("scene/tessellation.py", "FREQUENCY_EDGE"): "geometry of the sphere",
