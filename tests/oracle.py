@@ -1,8 +1,9 @@
 """Ground truth in float64 NumPy: single scattering inside refractive triangle meshes, point lights.
 
-From the formulas of the papers alone (mitsuba_refscatter/README.md); shares no code with the package.  World space, one length
-unit; sigma_s, sigma_t in 1/length, intensity in W/sr, radiance in W/(m^2 sr).  C colour channels, a
-scalar counts as C = 1.  Directions are unit vectors.  eta = n_in / n_out; at 1 facet normals hold.
+From the formulas of the papers alone (mitsuba_refscatter/README.md); shares no code with the package.
+World space, one length unit; sigma_s, sigma_t in 1/length, intensity in W/sr, radiance in W/(m^2 sr).
+C colour channels, a scalar counts as C = 1.  Directions are unit vectors.  eta = n_in / n_out; at 1
+facet normals hold.
 All surfaces on P-L and P-V shadow.  Not modelled: nested bodies, lights inside, light-side bounces.
 """
 
