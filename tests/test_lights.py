@@ -120,12 +120,10 @@ def test_airlight(g):
     o, d = rays_around(light, (0.0, 0.2, -1.0))
     scene, medium = fog(g, light)
     ours = build.single_scattering(scene, o, d, medium=medium, tolerance=1e-3)
-    sigma_s, sigma_t = sigma()
     # ours starts at a float32 d, which is a unit vector to 1e-7
     d = d / np.linalg.norm(d, axis=1, keepdims=True)
-    truth = closed_forms.airlight_radiance(
-        sigma_s, sigma_t, g or 0.0, light, np.full(3, 10.0), o, d, np.full(200, 60.0)
-    )
+    medium, rays = oracle.Medium(*sigma(), g or 0.0), oracle.CameraRays(o, d, np.full(200, 60.0))
+    truth = closed_forms.airlight_radiance(medium, (light, np.full(3, 10.0)), rays)
     assert error(ours, truth).max() < 1e-3
 
 
@@ -142,7 +140,8 @@ def test_airlight_in_glass():
     ours = build.single_scattering(scene, o, d, medium=medium, internal_bounces=0, tolerance=1e-3)
     d = d / np.linalg.norm(d, axis=1, keepdims=True)
     ends = ((np.sign(d) - o) / d).min(axis=1)
-    truth = closed_forms.airlight_radiance(*sigma(), 0.0, light, np.full(3, 10.0), o, d, ends)
+    rays = oracle.CameraRays(o, d, ends)
+    truth = closed_forms.airlight_radiance(oracle.Medium(*sigma(), 0.0), (light, np.full(3, 10.0)), rays)
     assert error(ours, truth).max() < 1e-3
 
 
@@ -159,9 +158,7 @@ def test_light_in_an_index_matched_body(tmp_path, bsdf):
     body = body_of(mesh, 1.0, 0.5)
     legs = oracle.camera_segments([body], o, d, 0)
     assert (legs.ray == np.arange(200)).all()
-    truth = legs.weight * closed_forms.airlight_radiance(
-        body.sigma_s, body.sigma_t, body.g, light, np.full(3, 10.0), legs.o, legs.d, legs.t_max
-    )
+    truth = legs.weight * closed_forms.airlight_radiance(body, (light, np.full(3, 10.0)), legs)
     assert error(ours, truth).max() < 1e-3
 
 
@@ -183,11 +180,11 @@ def test_under_water(eta):
     ours = build.single_scattering(
         scene, o, d, medium=scene.sensors()[0].get_medium(), internal_bounces=0, tolerance=1e-4
     )
-    sigma_s, sigma_t = sigma()
     up = d[:, 2] > 0
     t_max = np.where(up, -o[:, 2] / np.where(up, d[:, 2], 1), 60.0)
     assert 50 < up.sum() < 250
-    truth = closed_forms.plane_radiance(eta, sigma_s, sigma_t, 0.0, light, np.full(3, 10.0), o, d, t_max, steps=256)
+    water, rays = oracle.Medium(*sigma(), 0.0), oracle.CameraRays(o, d, t_max)
+    truth = closed_forms.plane_radiance(eta, water, (light, np.full(3, 10.0)), rays, steps=256)
     assert error(ours, truth).max() < 1e-3
 
 

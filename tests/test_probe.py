@@ -76,7 +76,7 @@ def test_against_the_oracle(probe, truth):
     t = np.arange(n) * segment.length / n
     o, d = segment.origin + t[:, None] * segment.direction, np.tile(segment.direction, (n, 1))
     length = np.full(n, segment.length / n)
-    value = oracle.segment_radiance(body.mesh, body.eta, body.sigma_s, body.sigma_t, body.g, *light, o, d, length, 16)
+    value = oracle.segment_radiance(body, light, oracle.CameraRays(o, d, length), 16)
     value *= segment.weight * np.exp(-body.sigma_t * t[:, None])
     np.testing.assert_allclose(probe.integral, value.sum(axis=0), rtol=1e-4)
     assert np.abs(parts(probe, n) - value).sum() < 2e-4 * value.sum()
@@ -251,8 +251,8 @@ def test_light_inside_gives_airlight(rgb, scene_file):
     segment = probe.segments[probe.segment]
     t = np.arange(n)[:, None] * segment.length / n
     o, d, length = segment.origin + t * segment.direction, np.tile(segment.direction, (n, 1)), segment.length / n
-    medium = body.sigma_s, body.sigma_t, body.g
-    expected = closed_forms.airlight_radiance(*medium, np.array(LAMP_INSIDE), intensity, o, d, np.full(n, length))
+    rays = oracle.CameraRays(o, d, np.full(n, length))
+    expected = closed_forms.airlight_radiance(body, (np.array(LAMP_INSIDE), intensity), rays)
     expected *= segment.weight * np.exp(-body.sigma_t * t)
     np.testing.assert_allclose(probe.radiance * length, expected, rtol=2e-4)
     np.testing.assert_array_equal(probe.straight, probe.radiance)
