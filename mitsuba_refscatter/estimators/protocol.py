@@ -24,7 +24,7 @@ class Query:
     index: mi.UInt32
     points: LocalSegments
     weight: mi.Spectrum
-    done: tuple
+    done: tuple[float, float]
 
 
 class Estimator(ABC):
@@ -46,13 +46,22 @@ class Estimator(ABC):
     """Whether it finds light that a point at the camera sends straight back."""
 
     def queries(self, _segments, _illumination, _accuracy, _seed) -> Iterator[Query] | None:
-        """The ``Query`` of sample points that stand for camera segments (``LocalSegments``), chunk by chunk; None where segments are
-        taken as they are. ``seed``: of random numbers."""
+        """The ``Query`` of sample points that stand for camera segments, chunk by chunk; None where segments are taken whole.
+
+        segments      ``LocalSegments``
+        illumination  ``light.illumination.Illumination``
+        accuracy      ``tolerances.Accuracy``
+        seed          int, of random numbers
+        """
         return None
 
     @abstractmethod
     def classify(self, piece, segment):
-        """``culling.beam.Zeros``: on which light beams (``culling.beam.Piece``) a pair may contribute, lane by lane."""
+        """``culling.beam.Zeros``: on which light beams a pair may contribute, lane by lane.
+
+        piece    ``culling.beam.Piece``
+        segment  ``LocalSegments``
+        """
 
     @abstractmethod
     def accumulate(self, sums, pairs, segments, culling, illumination, accuracy):
