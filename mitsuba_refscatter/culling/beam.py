@@ -1,7 +1,7 @@
 """One light beam: a triangle, or a part of one, with the light that it refracts.
 
-A triangle of a body with corner positions P and refracted directions omega; g is the function of
-(u, v) whose zeros are the points that send light onto a camera line (o, d):
+P are points of a triangle of a body, and omega are the refracted directions there. g is the function of (u, v) whose
+zeros are the points that send light onto a camera line (o, d):
 
     g = (P - o) . (d x omega).
 """
@@ -27,7 +27,7 @@ MIDDLES = ((0.5, 0.5), (0.0, 0.5), (0.5, 0.0))
 def sub_triangle(code, level):
     """Corner and signed size (u0, v0, h) of sub-triangle ``code`` of the 4^level similar ones.
 
-    code   UInt32, one base-4 digit per level: 0, 1, 2 keep a corner of the parent, 3 is the middle part, upside down (h < 0)
+    code   UInt32, a base-4 digit per level: 0, 1, 2 keep a corner of the parent, 3 is the inverted middle part (h < 0)
     level  UInt32, 0 to ``tolerances.MOST_LEVELS``
 
     The corners are (u0, v0), (u0 + h, v0), (u0, v0 + h).
@@ -51,7 +51,8 @@ def refracted(tri, u, v, incidence):
     u, v       Float, place in the triangle
     incidence  ``optics.Incidence`` of the light
 
-    The direction is continued where the light does not come from outside. The square is negative under total reflection.
+    The direction is continued where the light does not come from outside. The square is negative under total
+    reflection.
     """
     P = tri.position(u, v)
     omega, c_L, _ = optics.refract_in(incidence.light.seen_from(P)[0], tri.normal(u, v), incidence.eta)
@@ -90,10 +91,10 @@ def piece_at(tri, incidence, u0, v0, h):
     incidence  ``optics.Incidence`` of the light
     u0, v0, h  Float, corner and signed size of the parts in (u, v)
 
-    ``bend`` bounds how far omega is from linear, in any direction. A quadratic deviates by at most 4/3 of what it does at the
-    edges' middles; 2 leaves room for the cubic part. Where the critical angle may be passed, omega has a square root in it:
-    all of c_V may be missed. ``twist`` bounds the same for what is bilinear in position and direction, as g is, by 4/3 of
-    |edge| |change| / 4. To that is added how far a curved triangle is from its plane one.
+    ``bend`` bounds how far omega is from linear, in any direction. A quadratic deviates by at most 4/3 of what it does
+    at the edges' middles; 2 leaves room for the cubic part. Where the critical angle may be passed, omega has a square
+    root in it: all of c_V may be missed. ``twist`` bounds the same for what is bilinear in position and direction, as g
+    is, by 4/3 of |edge| |change| / 4. To that is added how far a curved triangle is from its plane one.
     """
     P, omega, c_V2 = zip(*(refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), incidence) for u, v in CORNERS))
     bend, twist, curved, sag = mi.Float(0), mi.Float(0), mi.Float(0), mi.Float(0)
@@ -118,7 +119,7 @@ def nothing(piece, empty):
 
 
 def excess(piece, light):
-    """How many times too large (Float) beams are, or the turn of their directions: what ``tolerances.NEAR`` and ``TURN`` allow.
+    """How many times (Float) the size of beams, or the turn of their directions, is what ``NEAR`` and ``TURN`` allow.
 
     piece  ``Piece``
     light  ``optics.LocalLight``

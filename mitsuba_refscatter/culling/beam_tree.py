@@ -184,7 +184,8 @@ def build(records, count, body):
 def node_test(segments):
     """The conservative test of bundles of camera segments (``Bundles.middle``) against a node, for ``bvh.traverse``.
 
-    From its middle to another line of a bundle (P - o) x d changes by at most |P - o| spread_d + spread_o, and g by that, too.
+    From its middle to another line of a bundle (P - o) x d changes by at most |P - o| spread_d + spread_o, and g by
+    that, too.
     """
     o, d, t_max, inverse_d = segments.o, segments.d, segments.t_max, segments.inverse_d
     spread_o, spread_d = segments.spread_o, segments.spread_d

@@ -104,8 +104,8 @@ class Beams(Culling):
 def _faces_light(tri, light):
     """False only if no point of the triangle is lit: the facet faces away, or n . (L - P) < 0 throughout.
 
-    The latter is a polynomial in (u, v), of which the largest Bernstein coefficient is a bound. These are means of the values
-    for pairs of control points, for plane triangles one pair each.
+    The latter is a polynomial in (u, v), of which the largest Bernstein coefficient is a bound. These are means of the
+    values for pairs of control points, for plane triangles one pair each.
     """
     points, n = tri.controls()
     a = [light.to(p) for p in points]
@@ -125,9 +125,9 @@ def _levels(tri, incidence, size, bend, proven_lit):
     bend        Float, that of ``tolerances.Accuracy``
     proven_lit  Bool, whether no shadow ends on it
 
-    Its bend is then below ``bend`` times its width, both at the distance ``size``: per level the bend falls by 4, the width
-    by 2. Its edges and directions are within ``tolerances.NEAR`` and ``TURN``, and where a shadow may end on it within
-    ``PARTLY_LIT``.
+    Its bend is then below ``bend`` times its width, both at the distance ``size``: per level the bend falls by 4, the
+    width by 2. Its edges and directions are within ``tolerances.NEAR`` and ``TURN``, and where a shadow may end on it
+    within ``PARTLY_LIT``.
     """
     piece = light_beam.piece_at(tri, incidence, mi.Float(0), mi.Float(0), mi.Float(1))
     P, omega = piece.P, piece.omega
@@ -212,7 +212,10 @@ def _in_leaves(place, parent, code, level):
 
 
 def _expand(level):
-    """One entry per sub-triangle: index of its parent in ``level``, code, level (UInt32). Neighbours are so in the triangle."""
+    """One entry per sub-triangle: index of its parent in ``level``, code, level (UInt32).
+
+    Neighbours in this order are neighbours in the triangle, too.
+    """
     parent, number = arrays.repeat(4 ** level.numpy().astype(np.int64))
     level = dr.gather(mi.UInt32, level, parent)
     code = mi.UInt32(0)

@@ -1,9 +1,8 @@
 """How far a light beam is certainly free inside its body, so that no shadow ray is needed up to there.
 
-Light that entered a closed body can only be stopped by a triangle that it would leave through, that is one
-with omega . Ng > 0; the triangles around the point of entry are not of that kind. A tree over the body's
-triangles with bounding spheres and boxes of normals gives, per beam, the smallest distance at which it
-can touch such a triangle.
+Light that entered a closed body can only be stopped by a triangle that it would leave through: one with omega . Ng > 0.
+The triangles around the point of entry are not of that kind. The smallest distance at which a beam can touch such a
+triangle follows from a tree over the body's triangles. Its nodes are bounding spheres and boxes of normals.
 """
 
 from __future__ import annotations
@@ -42,9 +41,9 @@ def estimate(tri, piece, shadows):
 
 @dataclass
 class _Cone:
-    """A cone around all rays of light beams: of the radius start + spread s at the distance s along the axis. Lane by lane.
+    """A cone around all rays of light beams, with the radius start + spread s at the distance s along the axis.
 
-    piece   the light beams
+    piece   the light beams, one per lane
     apex    Vector3f, where the axis starts, body coordinates
     axis    Vector3f, unit
     start   Float, radius around the apex
@@ -111,7 +110,7 @@ class Clearance:
         return [best, best, best, mi.Float(0), mi.Float(tolerances.ENDLESS)]
 
     def _touch(self, leaf, j, active, cone):
-        """Smallest distance at which the beams can leave through the j-th triangle of a leaf, or ``tolerances.ENDLESS``."""
+        """Smallest distance at which the beams can leave through the j-th triangle of a leaf, or ``ENDLESS``."""
         _, tri = self.surface.member(leaf, j, active)
         near, touched = cone.first_touch(*tri.ball())
         P, bend = cone.piece.P, cone.piece.bend

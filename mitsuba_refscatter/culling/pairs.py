@@ -44,10 +44,10 @@ class Pairs:
         """Each part of the curve in ``n`` shorter ones."""
         i = dr.arange(mi.UInt32, n * len(self))
         parts = self.gather(i // n)
-        if parts.tau0 is None:
-            parts.tau0, parts.tau1 = mi.Float(0), mi.Float(1)
-        step = (parts.tau1 - parts.tau0) / n
-        parts.tau0 = parts.tau0 + mi.Float(i % n) * step
+        whole = parts.tau0 is None or parts.tau1 is None
+        tau0, tau1 = (mi.Float(0), mi.Float(1)) if whole else (parts.tau0, parts.tau1)
+        step = (tau1 - tau0) / n
+        parts.tau0 = tau0 + mi.Float(i % n) * step
         parts.tau1 = parts.tau0 + step
         return parts
 
@@ -61,7 +61,7 @@ class Pairs:
     def share(self):
         """How much of a pair each part counts for: a line meets at most 2^(level + 1) of the 4^level parts."""
         share = mi.Float(1) if self.code is None else dr.rcp(mi.Float(2 << self.level))
-        return share if self.tau0 is None else share * (self.tau1 - self.tau0)
+        return share if self.tau0 is None or self.tau1 is None else share * (self.tau1 - self.tau0)
 
     def __len__(self):
         return dr.width(self.segment)

@@ -21,7 +21,7 @@ class Culling(ABC):
     width: float
 
     for_one_light: bool
-    """Whether it is made for one light sample, which camera samples then share. Else each camera segment may have its own.
+    """Whether it is made for one light sample, which camera samples then share. Else each segment may have its own.
 
     Such a culling knows the zeros of g before an estimator does, and proofs of visibility.
     """

@@ -2,13 +2,13 @@
 
 Nothing is computed for the light beforehand, so that each segment may have a light point of its own.
 
-Walter et al. 2009 and Holzschuch 2015: refraction at P deviates the ray from the light L by at most
-acos(min(eta, 1 / eta)), so P lies in a spindle around L and V. And the normal at P is parallel to
-q = omega_L + eta omega_V. Both are tested with bounds of all P and normals of a node: a sphere and a cone. Here V is not
-a point but a whole camera segment, as in the latter publication.
+The test is that of Walter et al. 2009 and Holzschuch 2015. Refraction at P deviates the ray from the light L by at most
+acos(min(eta, 1 / eta)). So P lies in a spindle around L and V. And the normal at P is parallel to q = omega_L + eta
+omega_V. Both are tested with bounds of all P and normals of a node: a sphere and a cone. Here V is not a point but a
+whole camera segment, as in the latter publication.
 
-The departure from the publications is a third test: whether the refracted light line can meet the line of the segment at
-all, |g| against a bound. Without it the number of triangles found grows like that of all triangles, since the normals'
+The departure from the publications is a third test: whether the refracted light line can meet the line of the segment
+at all, |g| against a bound. Without it the number of triangles found grows like that of all triangles. For the normals'
 test must take each point of the segment by itself.
 """
 
@@ -155,7 +155,7 @@ class _Spread:
 
 @dataclass
 class _View:
-    """A ball of points and a cone of normals, and where segment and light are from there; body coordinates, lane by lane.
+    """A ball of points with a cone of normals, and where segment and light are from there; body coordinates.
 
     segment    camera segments
     eta        Float, relative index of refraction
@@ -180,7 +180,7 @@ class _View:
 
 
 def _largest_cosine(w, a, segment):
-    """Largest cosine between ``w`` and the directions from a point to the segment, and a place t where it is, or near it.
+    """Largest cosine between ``w`` and the directions from a point to the segment, and the t where it is, or near it.
 
     w        Vector3f, of unit length, or as long as the cosine is to be multiplied by
     a        Vector3f, from the point to the segment's origin
@@ -207,8 +207,8 @@ def _deviates_enough(straight, view):
 def _may_be_normal(view, t, sign):
     """Whether -q (eta > 1, ``sign`` 1) or q (-1) can be in the cone of normals.
 
-    q = omega_L + eta omega_V, known to ``rho``, moves on an arc. Is all of it in front of a plane through 0 that the cone is
-    behind? Two planes are tried: from the place ``t``, and from the place on the arc nearest to that plane.
+    q = omega_L + eta omega_V, known to ``rho``, moves on an arc. Is all of it in front of a plane through 0 that the
+    cone is behind? Two planes are tried: from the place ``t``, and from the place on the arc nearest to that plane.
     """
     omega_L, axis, normals, eta = view.omega_L, view.axis, view.normals, view.eta
     rho = view.towards_L.chord + eta * view.towards_V.chord

@@ -1,4 +1,4 @@
-"""What is made of the triangles of a scene's boundaries once for all lights: packed triangles, their order, and trees."""
+"""What is made of the triangles of boundaries once for all lights: packed triangles, their order, and trees."""
 
 from __future__ import annotations
 
