@@ -29,8 +29,8 @@ def meeting(P, omega, segment):
 def may_meet(piece, segment):
     """False (Bool) only where all light lines of beams meet the camera line elsewhere than on the segment.
 
-    The lines of the corners do, by twice as much as lines between them could meet it nearer, and none is nearly parallel to it.
-    Light lines through a point V meet any segment of no length there.
+    The lines of the corners do, by twice as much as lines between them could meet it nearer, and none is nearly
+    parallel to it. Light lines through a point V meet any segment of no length there.
     """
     t, s = zip(*(meeting(P, omega, segment) for P, omega in zip(piece.P, piece.omega)))
     edge, turn = (
@@ -73,9 +73,9 @@ class Chord:
 def chord_of(pair):
     """``(Chord, limits)`` of ``PairData``: the limits (``limits_at``) are pairs of values at the chord's ends.
 
-    The chord ends where a quadratic through the corners and the middle of an edge vanishes. There the curves of neighbouring
-    triangles meet, or of parts of them, whatever their size. The rays start from the lone corner A.
-    Only where the curve runs along an edge at A do they start from the corner opposite to that edge.
+    The chord ends where a quadratic through the corners and the middle of an edge vanishes. There the curves of
+    neighbouring triangles meet, or of parts of them, whatever their size. The rays start from the lone corner A. Only
+    where the curve runs along an edge at A do they start from the corner opposite to that edge.
     """
     piece = pair.piece
     zeros = beam.classify(piece, pair.segment)
@@ -112,7 +112,8 @@ def chord_of(pair):
 def _root(pair, a, b, g_a, g_b):
     """Where g vanishes on edges from a to b (uv), as a share of them, and whether the curve may run along the edge.
 
-    g has different signs at the ends and is quadratic in between. Where that is far from linear the curve may run along it.
+    g has different signs at the ends and is quadratic in between. Where that is far from linear the curve may run along
+    it.
     """
     middle, segment = 0.5 * (a + b), pair.segment
     P, omega, _ = beam.refracted(pair.tri, middle.x, middle.y, pair.illumination)

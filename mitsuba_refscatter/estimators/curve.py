@@ -8,8 +8,8 @@ g is zero where the light beam refracted at (u, v) meets the camera line. This i
 single-scattering integral. It has no distance correction D as in Walter et al. 2009 and Holzschuch 2015, and no
 singularity at folds of the caustic.
 
-In a beam whose corners have g of different signs let E1 and E2 be the points on its edges where the linear
-g vanishes, X = (1 - tau) E1 + tau E2, and M a corner. With g(M + lambda (X - M)) = 0 at lambda:
+Take a beam whose corners have g of different signs. Let E1 and E2 be the points on its edges where the linear g
+vanishes, and M a corner. With X = (1 - tau) E1 + tau E2 and g(M + lambda (X - M)) = 0 at lambda:
 
     integral over {g = 0} of F / |grad g| dl = |M E1 x M E2| * integral over tau of F lambda / |dg/dlambda|
 
@@ -146,7 +146,9 @@ class Curve(Estimator):
 
 
 def part_of(pair, chord, ends, newton):
-    """The ``_Part`` of the chord to integrate over: of all of it, or of the pairs' own parts, whose ends are solved for.
+    """The ``_Part`` of the chord to integrate over.
+
+    It is of all of the chord, or of the pairs' own parts, whose ends are solved for.
 
     pair    ``PairData``
     chord   its ``Chord``
@@ -199,8 +201,8 @@ def _cutting(pair, chord, part, width, clip):
 def _accumulate(sums, pair, accuracy, shadow):
     """One kernel of ``accumulate``. Returns which pairs are open, and which must be cut (Bool).
 
-    A pair with an open point is left out. So is one along which the optical depth changes too much, or that ends inside the
-    beam at a place that is not known well enough. ``shadow(pair, point, s, active) -> (free, open)``.
+    A pair with an open point is left out. So is one along which the optical depth changes too much, or that ends inside
+    the beam at a place that is not known well enough. ``shadow(pair, point, s, active) -> (free, open)``.
     """
     segment, sigma_t, illumination = pair.segment, pair.sigma_t, pair.illumination
     chord, ends = chord_of(pair)
@@ -262,8 +264,8 @@ def solve(pair, chord, D, newton):
     D       Vector2f, from M to a point of the chord
     newton  int, Newton steps
 
-    Returns the ``CurvePoint`` there, lambda / |dg/dlambda| (Float), and whether it was found (Bool). Where Newton's method
-    leaves the neighbourhood, or t has an extremum on the curve (a fold), the value of the linear beam stands in.
+    Returns the ``CurvePoint`` there, lambda / |dg/dlambda| (Float), and whether it was found (Bool). Where Newton's
+    method leaves the neighbourhood, or t has an extremum on the curve (a fold), the value of the linear beam stands in.
     """
     uv = chord.M + D
     lam = mi.Float(1)

@@ -1,16 +1,16 @@
 """The interval estimator: the parts of a camera segment that each triangle lights, sampled regularly (Holzschuch 2015).
 
 For each candidate triangle the curve of points that refract light onto the camera segment runs from one edge to
-another. Newton's method with one coordinate fixed finds its ends; in between, at fixed distances t along the segment,
-it finds the points of the curve, where the point form (``point_form``) is summed. Departures from the publication:
+another. Newton's method with one coordinate fixed finds its ends. In between it finds the points of the curve at fixed
+distances t along the segment. The point form (``point_form``) is summed there. Departures from the publication:
 
-- The search for the ends starts where the linear g (``beam.classify``) is zero on the edges. The publication starts where
-  the camera ray meets the triangle's plane, from where a walk along the curve's gradient may lose it. Where g is far from
-  linear the triangle is cut first, so that closed curves, and several in one triangle, are found, too.
-- The gradient (the cross product of two rows of the Jacobian) tells at both ends whether t grows inwards. If it does, or
-  falls, at both, t has an extremum in between (a fold): the interval is split there. The publication assumes one
+- The search for the ends starts where the linear g (``beam.classify``) is zero on the edges. The publication starts
+  where the camera ray meets the triangle's plane, from where a walk along the curve's gradient may lose it. Where g is
+  far from linear the triangle is cut first, so that closed curves, and several in one triangle, are found, too.
+- The gradient (the cross product of two rows of the Jacobian) tells at both ends whether t grows inwards. If it does,
+  or falls, at both, t has an extremum in between (a fold): the interval is split there. The publication assumes one
   monotone interval.
-- Samples are regular in x, with t a quadratic of x that has the gradient's slopes at both ends, instead of in t: the
+- Samples are regular not in t but in x, with t a quadratic of x that has the gradient's slopes at both ends. The
   integrand, which grows like |t - t_c|^(-1/2) at a fold, is then bounded. With equal slopes both are the same.
 - The residual of Newton's method is q x n instead of the half vector's (``solve.constraint``), so that eta may be near
   or equal to 1.
@@ -84,8 +84,8 @@ class Interval(Estimator):
 class _Curves:
     """The curves in the light beams of pairs, each parametrised by tau along the chord.
 
-    tau chooses a ray from a corner M through the chord (``chord.Chord``); those for tau = 0 and 1 run along edges. The part
-    from ``start`` to ``stop`` faces the light, which is not reflected totally there.
+    tau chooses a ray from a corner M through the chord (``chord.Chord``); those for tau = 0 and 1 run along edges. The
+    part from ``start`` to ``stop`` faces the light, which is not reflected totally there.
     """
 
     def __init__(self, pair):

@@ -1,13 +1,13 @@
 """Photons in place of solving: points where light scatters, or beams along its whole way in the medium.
 
-A photon enters a body at P with uniform density in (u, v) of a triangle, which is chosen with probability p. It stands for
-the flux that enters there, in the same measure as in ``estimators.curve``,
+A photon enters a body at P with uniform density in (u, v) of a triangle, which is chosen with probability p. It stands
+for the flux that enters there, in the same measure as in ``estimators.curve``,
 
     flux = I T A2 |omega . Ng| / (2 p N d_L^2),
 
 and both estimates replace the condition that it meets the camera ray by a blur of constant density and radius r. For
-points that is over the disk across the camera ray (Jarosz, Zwicker and Jensen 2008, beam radiance estimate). For beams it is
-over the shortest distance between the two lines (Jarosz et al. 2011, equation 38, one-dimensional blur):
+points that is over the disk across the camera ray (Jarosz, Zwicker and Jensen 2008, beam radiance estimate). For beams
+it is over the shortest distance between the two lines (Jarosz et al. 2011, equation 38, one-dimensional blur):
 
     L += flux sigma_s p(omega, d) exp(-sigma_t (t + s)) / (pi r^2 pdf(s))   or   / (2 r |d x omega|).
 """
@@ -77,8 +77,8 @@ def aim(body, records, pilots, exact):
     pilots   list of ``(Illumination, intensity)`` of one light point each
     exact    whether the one of them is all of the light
 
-    Where it is not, or where it does not send the same into all directions, triangles on which pilots find nothing get some
-    photons all the same.
+    Where it is not, or where it does not send the same into all directions, triangles on which pilots find nothing get
+    some photons all the same.
     """
     index = dr.opaque(mi.UInt32, body.first_record) + dr.arange(mi.UInt32, body.triangle_count)
     tri = triangle.gather(records, index)

@@ -96,8 +96,8 @@ class Point(Estimator):
 def zeros_of_moment(piece, segment):
     """``beam.Zeros`` of the moment m = (V - P) x omega on beams, which is zero at the roots for V.
 
-    m is taken as its two components across the mean direction of the light. ``g`` are the barycentric coordinates of the
-    linear m's root (times an area), with that area last. Each part may hold a root: ``bracketed`` = ``possible``.
+    m is taken as its two components across the mean direction of the light. ``g`` are the barycentric coordinates of
+    the linear m's root (times an area), with that area last. Each part may hold a root: ``bracketed`` = ``possible``.
     """
     omega = piece.omega
     axis = mi.Frame3f(dr.normalize(omega[0] + omega[1] + omega[2]))
@@ -130,8 +130,8 @@ def roots(pair):
 
     pair  ``PairData``
 
-    ``solution``: ``newton.Solution``, place in the piece; ``path``: the ``constraint.Connection`` at the root; ``valid``: Bool,
-    whether there is one, inside the beam's own triangle.
+    ``solution``: ``newton.Solution``, place in the piece; ``path``: the ``constraint.Connection`` at the root;
+    ``valid``: Bool, whether there is one, inside the beam's own triangle.
     """
     piece, tri, segment = pair.piece, pair.tri, pair.segment
     zeros = zeros_of_moment(piece, segment)

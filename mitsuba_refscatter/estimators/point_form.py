@@ -78,7 +78,10 @@ def _double(x):
 
 
 def refracts(path, tri):
-    """Where (Bool) a ``constraint.Connection`` is refracted into the body: light outside and V inside, by both normals."""
+    """Where (Bool) a ``constraint.Connection`` is refracted into the body ``tri`` is of.
+
+    The light is then outside and V inside, by both normals.
+    """
     outside = (dr.dot(path.omega_L, path.n) > 0) & (dr.dot(path.omega_L, tri.Ng) > 0)
     return outside & (dr.dot(path.omega_V, path.n) < 0) & (path.s > 0)
 

@@ -1,9 +1,9 @@
 """The radiance per unit length along camera segments: what the curve estimator integrates, point by point.
 
-A ``Profile`` takes an estimator's place in ``wavefront.sweep``, so that it gets the same pairs, whole or cut. It follows
-the curve g = 0 in each light beam and keeps cells of it. Each has the radiance per unit length in the point form
-(``point_form``) at three points, and what the cell brings in the curve form (``curve``). The second is the integral over t
-of the first, also across a fold, where the first grows like |t - t_fold|^(-1/2).
+A ``Profile`` takes an estimator's place in ``wavefront.sweep``, so that it gets the same pairs, whole or cut. It
+follows the curve g = 0 in each light beam and keeps cells of it. Each has the radiance per unit length in the point
+form (``point_form``) at three points, and what the cell brings in the curve form (``curve``). The second is the
+integral over t of the first, also across a fold, where the first grows like |t - t_fold|^(-1/2).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from .protocol import Estimator
 class Cells:
     """Parts of the curves in light beams that light gets to, of one camera segment.
 
-    Lists have an entry for each of three points of a part: its ends and, between them, its middle. Radiances are with all
-    attenuation, without the segment's weight, sigma_s and the light's intensity.
+    Lists have an entry for each of three points of a part: its ends and, between them, its middle. Radiances are with
+    all attenuation, without the segment's weight, sigma_s and the light's intensity.
 
     triangle  UInt32, index among the scene's records
     t         list of Float, distances along the segment
@@ -111,7 +111,8 @@ def _cells(pair, triangle, newton):
 def _density(pair, chord, point, t, s):
     """The point form at a ``curve.CurvePoint``, and the sign of dt along the curve in the direction of the chord.
 
-    Where the segment meets the boundary, next to P, V is moved on along the light, as its direction from P would be rounding.
+    Where the segment meets the boundary, next to P, V is moved on along the light, as its direction from P would be
+    rounding.
     """
     segment, uv = pair.segment, point.uv
     nearest = tolerances.APART * dr.maximum(dr.norm(point.P), segment.t_max)
@@ -125,8 +126,8 @@ def _density(pair, chord, point, t, s):
 def means(cells, length, n):
     """The mean radiance per unit length (Spectrum) in each of ``n`` equal parts of a segment of that ``length``.
 
-    Half of a cell's total is spread evenly between its middle and either end. The sum times length / n is then the sum of the
-    totals.
+    Half of a cell's total is spread evenly between its middle and either end. The sum times length / n is then the sum
+    of the totals.
     """
     out, step = dr.zeros(mi.Spectrum, n), dr.opaque(mi.Float, length / n)
     last = dr.opaque(mi.UInt32, n - 1)

@@ -28,7 +28,10 @@ class Query:
 
 
 class Estimator(ABC):
-    """A way to sum single scattering of one light sample. Its attributes say what it can do; nothing asks for its name."""
+    """A way to sum single scattering of one light sample.
+
+    Its attributes say what it can do; nothing asks for its name.
+    """
 
     needs_fine = True
     """Whether light beams must be so small that few samples of the light on them do."""
@@ -46,7 +49,7 @@ class Estimator(ABC):
     """Whether it finds light that a point at the camera sends straight back."""
 
     def queries(self, _segments, _illumination, _accuracy, _seed) -> Iterator[Query] | None:
-        """The ``Query`` of sample points that stand for camera segments, chunk by chunk; None where segments are taken whole.
+        """The ``Query`` of sample points that stand for camera segments, chunk by chunk; None where there are none.
 
         segments      ``LocalSegments``
         illumination  ``light.illumination.Illumination``

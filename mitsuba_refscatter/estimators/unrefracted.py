@@ -3,12 +3,12 @@
     L = integral over t of sigma_s p E(t) exp(-sigma_t t) T(t),
 
 E is the light's intensity over its squared distance (or irradiance), and T what is left of it on its way
-(``transmittance.Transmittance``). phi is the angle under which a light at distance h from the camera ray sees t from the
-ray's foot on. In phi E dt = I dphi / h, so that near lights make no peak.
+(``transmittance.Transmittance``). From a light at distance h from the camera ray, let phi be the angle between the
+ray's foot and the point at t. In phi E dt = I dphi / h, so that near lights make no peak.
 
-Gauss quadrature in phi, in panels. A panel ends where either phi or the optical depth has gone another step, or the
-distance from the foot has grown or shrunk by a factor. Where T jumps, since something begins or ends to be in the way,
-the panel is divided.
+Gauss quadrature in phi, in panels. A panel ends where either phi or the optical depth has gone another step. It also
+ends where the distance from the foot has grown or shrunk by a factor. Where T jumps, since something begins or ends to
+be in the way, the panel is divided.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from ..optics import LocalLight
 def angle_panels(phase, accuracy):
     """Panels into which half a circle around a light must be cut for a ``phase`` function's lobes.
 
-    Told by the quadrature itself, with panels in four places. Its largest error over the angles of scattering that they cover
-    must be below ``accuracy.lobes`` relative to the integral over all. (A light that is near a camera ray sees it under up to
-    half a circle, and panels that are even in that angle are so in that of scattering.)
+    Told by the quadrature itself, with panels in four places. Its largest error over the angles of scattering that they
+    cover must be below ``accuracy.lobes`` relative to the integral over all. (A light that is near a camera ray sees it
+    under up to half a circle, and panels that are even in that angle are so in that of scattering.)
 
     phase     phase function (omega, d), 1/sr
     accuracy  ``tolerances.Accuracy``
@@ -68,8 +68,9 @@ class Unrefracted:
     emission  as ``light.illumination.Illumination`` has it, or None
     phase     phase function (omega, d), 1/sr
     directed  as ``Illumination`` has it, or None
-    way       (V, direction, distance, active) -> (T, number): what is left of the light from V to there, and a number that
-              changes where T jumps; None where nothing but the segments' medium is in between
+    way       (V, direction, distance, active) -> (T, number), or None where only the segments' medium is in between
+
+    T is what is left of the light from V to there; the number changes where T jumps.
     """
 
     light: LocalLight
@@ -175,7 +176,7 @@ class _Integrand:
         self.has_rim = unrefracted.emission is not None and unrefracted.emission.has_rim
 
     def look(self, t, active):
-        """V at t, direction to the light, its distance, what is left on the way from there, and the number of that way."""
+        """V at t, direction to the light, its distance, what is left on the way from there, and that way's number."""
         segments, unrefracted = self.segments, self.unrefracted
         V = segments.o + t * segments.d
         omega_L, d_L = unrefracted.light.seen_from(V)
@@ -188,7 +189,7 @@ class _Integrand:
         return V, omega_L, d_L, *unrefracted.way(V, omega_L, distance, active)
 
     def number(self, t, active):
-        """A number that changes where the integrand jumps: with the way, or where a spot's or a projector's light ends."""
+        """A number that changes where the integrand jumps: with the way, or where a spot's light ends."""
         V, omega_L, d_L, _, number = self.look(t, active)
         if self.has_rim:
             number = 2 * number + dr.select(dr.any(self.unrefracted.emission(V, omega_L, d_L) > 0), mi.UInt32(1), 0)

@@ -1,7 +1,7 @@
 """The wavefront over camera segments: traverse the culling's tree, filter the pairs, solve and accumulate.
 
-Segments go in, radiance comes out. Each stage is one kernel per chunk; the chunks are as long as the
-buffer of pairs allows: a chunk whose pairs do not fit is traversed again in two halves.
+Segments go in, radiance comes out. Each stage is one kernel per chunk. The chunks are as long as the buffer of pairs
+allows: a chunk whose pairs do not fit is traversed again in smaller ones.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def gather(segments, cloud, phase, directed, pace):
 
 @dataclass
 class Work:
-    """The stages: finding pairs, solving them, and cutting beams into parts where they are too complicated for a segment.
+    """The stages: finding pairs, solving them, and cutting beams where they are too complicated for a segment.
 
     sums          what is found is added to them
     segments      camera segments, body coordinates
@@ -255,7 +255,10 @@ class Work:
         return arrays.gather(place, at) * most + (index - at * most)
 
     def classify(self, pairs, taken=None, active=True):
-        """Which pairs exist (Bool), their ``beam.Zeros``, which are too complicated (Bool), and their ``culling.pairs.Taken``.
+        """``(exists, zeros, bent, taken)`` of pairs.
+
+        ``exists``: Bool; ``zeros``: ``culling.beam.Zeros``; ``bent``: Bool, which are too complicated; ``taken``:
+        ``culling.pairs.Taken``.
 
         pairs   ``Pairs``
         taken   of them, if that is known already

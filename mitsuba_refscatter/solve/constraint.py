@@ -1,13 +1,15 @@
 """The constraint that a refracted light path L -> P -> V fulfils, with its derivatives.
 
-With unit directions omega_L from P to the light and omega_V from P to V = o + t d let q = omega_L + eta omega_V.
-Light from L is refracted at P to V where q is parallel to the normal n, with both directions on their sides of the
+With unit directions omega_L from P to the light and omega_V from P to V = o + t d let q = omega_L + eta omega_V. Light
+from L is refracted at P to V where q is parallel to the normal n, and both directions are on their sides of the
 surface. The residual of this is q x n for every eta, given together with its 3 x 3 Jacobian by (t, u, v). At eta = 1,
-where q itself is 0 and normals play no part, q is another residual, better at grazing incidence. The published one,
-sign(eta - 1) q / |q| + n (Walter et al. 2009; Holzschuch 2015), loses digits as eta goes to 1, where |q| goes to |eta - 1|.
+where q itself is 0 and normals play no part, q is another residual, better at grazing incidence.
 
-In all omega_V points into the body on the line through P and V. So a root may also have V behind P (s < 0): callers test
-``s``.
+The published residual is sign(eta - 1) q / |q| + n (Walter et al. 2009; Holzschuch 2015). It loses digits as eta goes
+to 1, where |q| goes to |eta - 1|.
+
+In all omega_V points into the body on the line through P and V. So a root may also have V behind P (s < 0): callers
+test ``s``.
 """
 
 from __future__ import annotations
@@ -110,7 +112,7 @@ class Connection:
         return c.times(*(x / length for x in (self.s, self.s_t, self.s_u, self.s_v)))
 
     def distance_correction(self, tri):
-        """D (Float): light that is refracted at P spreads at V as from a source at distance sqrt(D) (Walter et al. 2009).
+        """D (Float): light refracted at P spreads at V as from a source at distance sqrt(D) (Walter et al. 2009).
 
         Here in one form for interpolated and for facet normals of a triangle ``tri``:
 

@@ -87,7 +87,8 @@ def solve(system, x, domain, limits, active=True):
     limits  ``Limits``
     active  Bool; other lanes are judged at their start and go no further
 
-    Each step is that of the pseudo-inverse, -(J^T J)^-1 J^T r. Where the residual has grown it is taken back and halved.
+    Each step is that of the pseudo-inverse, -(J^T J)^-1 J^T r. Where the residual has grown it is taken back and
+    halved.
     """
     UInt32 = dr.uint32_array_t(type(x[0]))
     r, c0, c1 = system(*x)
