@@ -74,7 +74,8 @@ def coarser(vertices, normals, faces, twin, turns, longest):
 def _flips(vertices, faces, cosine, random):
     """Flips some edges between two faces where the angles opposite to them are more than 180 degrees together.
 
-    ``cosine``: the smallest between the normals at the ends of the new edge. Returns the faces and how many edges were flipped.
+    ``cosine``: the smallest between the normals at the ends of the new edge. Returns the faces and how many edges were
+    flipped.
     """
     twin = mesh.twins(faces)
     assert twin is not None, "collapses and flips keep edges between two faces"
@@ -163,9 +164,9 @@ def _round(vertices, faces, fixed, allowed, random):
 
 
 def _best(vertices, u, p, q, allowed):
-    """The neighbour of u that it may be moved onto such that the worst of the faces is best shaped; -1 where there is none.
+    """The neighbour of u that it may be moved onto such that the worst of the faces is best shaped.
 
-    ``u``, ``p``, ``q``: corners of the faces of each fan, sorted by u.
+    ``u``, ``p``, ``q``: corners of the faces of each fan, sorted by u. The neighbour is -1 where there is none.
     """
     first = np.flatnonzero(np.r_[True, u[1:] != u[:-1]])
     degree = np.diff(np.r_[first, len(u)])
