@@ -30,9 +30,10 @@ class LocalLight:
         return self.L + 0 * P if self.distant else self.L - P
 
     def seen_from(self, P):
-        """``(omega_L, d_L)``: unit direction from P to the light, and the distance by whose square its intensity is divided.
+        """``(omega_L, d_L)``: unit direction from P to the light, and its distance.
 
-        The distance is 1 if the light is distant: irradiance stands for intensity.
+        By the distance's square the intensity is divided. It is 1 if the light is distant: irradiance stands for
+        intensity.
         """
         if self.distant:
             return self.to(P), 1.0
@@ -65,8 +66,9 @@ def refract_in(omega_L, n, eta):
     eta      Float, index inside over that outside
 
     Returns ``(omega, c_L, c_V)``: the unit direction of travel inside, the cosine outside and the cosine inside. Where
-    there is no refracted ray (total reflection, eta < 1) ``c_V`` is 0 and ``omega`` its limit at the critical angle. For
-    ``c_L < 0`` (away from the light) the formula's smooth continuation is returned. Callers test ``c_L`` and ``c_V``.
+    there is no refracted ray (total reflection, eta < 1) ``c_V`` is 0 and ``omega`` its limit at the critical angle.
+    For ``c_L < 0`` (away from the light) the formula's smooth continuation is returned. Callers test ``c_L`` and
+    ``c_V``.
 
     >>> omega, c_L, c_V = refract_in(mi.Vector3f(0.6, 0, 0.8), mi.Vector3f(0, 0, 1), mi.Float(1.5))
     >>> print(f"{omega.x[0]:.3f} {omega.z[0]:.3f}, cosines {c_L[0]:.3f} and {c_V[0]:.3f}")  # sines: 0.6 = 1.5 x 0.4
