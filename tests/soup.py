@@ -14,6 +14,7 @@ from mitsuba_refscatter.culling import beam
 from mitsuba_refscatter.culling.pairs import Pairs, Taken
 from mitsuba_refscatter.estimators import point, wavefront
 from mitsuba_refscatter.estimators.accumulator import Sums
+from mitsuba_refscatter.estimators.pair_data import PairData
 from mitsuba_refscatter.geometry import triangle
 from mitsuba_refscatter.light.illumination import Illumination
 from mitsuba_refscatter.optics import LocalLight
@@ -86,10 +87,9 @@ class Roots(point.Point):
         self.found, self.statuses, self.evaluations = [], np.zeros(len(newton.Status), int), np.zeros(64, int)
 
     def accumulate(self, sums, pairs, segments, culling, illumination, accuracy):
-        illumination = illumination.at(pairs.segment)
-        taken = culling.take(pairs, illumination)
-        solution, _, valid = point.roots(taken, segments.gather(pairs.segment), illumination)
-        u, v = (taken.piece.h * x + x0 for x, x0 in zip(solution.x, (taken.piece.u0, taken.piece.v0)))
+        pair = PairData.of(pairs, segments, culling, illumination)
+        solution, _, valid = point.roots(pair)
+        u, v = (pair.piece.h * x + x0 for x, x0 in zip(solution.x, (pair.piece.u0, pair.piece.v0)))
         dr.eval(u, v, valid, solution.status, solution.iterations)
         kept = np.array(valid)
         columns = (pairs.segment, culling.triangle_of(pairs), u, v)
