@@ -73,9 +73,9 @@ def compare(
     reference  image (H, W, 3), or None for a long run of ``curve``
     report     (stage, share done) is called on the way
 
-    Rows have keys of their own: ``seconds`` that were given, ``warm_up_seconds``, ``curve``, ``seconds_to_first``
-    (until the relMSE of the first method is reached, None where it never will be), and whether that is
-    ``extrapolated``.
+    Rows have keys of their own: the ``seconds`` that were given, ``warm_up_seconds``, ``curve``, ``seconds_to_first``
+    and ``extrapolated``. The last two are the time until the relMSE of the first method is reached, and whether that is
+    extrapolated. The time is None where that never will be reached.
     """
     scene, about = subject.load(), "as given"
     size = tuple(scene.sensors()[0].film().crop_size())

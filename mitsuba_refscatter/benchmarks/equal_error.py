@@ -1,8 +1,8 @@
 """Time to a given error of the image, for lights that are neither points nor directions: ``refscatter equal-error``.
 
-The body of ``bumpy_sphere`` and its view are lit by a sphere of several radii in place of the point light, all of the
-same power, and by the environment map of ``amber``. The error of an image is its relative L1 difference, sum |a - b|
-/ sum b, to its mean over many seeds, and its bias, added as squares.
+The body of ``bumpy_sphere`` and its view are lit by a sphere in place of the point light, of several radii and the same
+power. They are also lit by the environment map of ``amber``. The error of an image has two parts, added as squares. One
+is the relative L1 difference, sum |a - b| / sum b, to the mean over many seeds. The other is the bias.
 
 Ours is rendered with more and more samples until the error is reached. ``volpath``, restricted to the same light
 paths, would take days, so its time is computed from the variances between shorter renders. Its error falls with the
@@ -37,8 +37,8 @@ BODY, STUDIO_SCENE = "bumpy_sphere", "amber"
 BIAS_TOLERANCE = 1e-4
 """Tolerance of the image that ours is compared with, at the same light points, to tell its bias."""
 SAMPLES = [16, 48, 64, 80, 144, 224, 256, 288, 400, 576, 784, 1024, 1600, 2304, 4096, 9216, 16384]
-"""Samples per pixel of ours: products of two numbers that are nearly equal, as the sampler wants them, and multiples
-of 16, since a pass then has 16 in each of 128 x 128 pixels."""
+"""Samples per pixel of ours: products of two numbers that are nearly equal, as the sampler wants them. They are
+multiples of 16, since a pass then has 16 in each of 128 x 128 pixels."""
 BLOCK = 8
 """Edge in pixels of blocks over which the variance of ``volpath`` relative to the image is averaged."""
 FEWEST = 8
@@ -186,8 +186,8 @@ def _volpath(setup, scenes, radius):
 def _deviation(variance, truth):
     """Standard deviation of each pixel from noisy variances (H, W, 3).
 
-    In a block of pixels variances are taken to be proportional to the image, as those of the number of paths that
-    find the light are. Those of single pixels with few paths are mostly too small, and their roots even more.
+    Variances are taken to be proportional to the image in a block of pixels, as is the number of paths that find the
+    light. Those of single pixels with few paths are mostly too small, and their roots even more.
     """
     height, width, _ = truth.shape
     y, x = np.indices((height, width))

@@ -145,7 +145,7 @@ class Run:
 class _Follower:
     """Follows a run, as the ``watch`` of its renders.
 
-    It notes errors as often as a logarithmic plot shows them, keeps the image that there is when the time of the
+    It notes errors as often as a logarithmic plot shows them. It keeps the image that there is when the time of the
     ``Goal`` is over, and ends the run there. With an error to go on to, it ends the run once that is reached or
     ``LONGEST`` is over.
     """

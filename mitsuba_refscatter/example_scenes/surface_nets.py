@@ -83,8 +83,8 @@ def surface_net(field: Field, low: np.ndarray, high: np.ndarray, h: float) -> tu
     high   the opposite corner
     h      spacing of the grid, over which the surface must bend little
 
-    A saddle of the surface that happens to lie on a grid plane can leave two sheets in one cell, and an edge with four
-    triangles. The grid is then shifted.
+    A saddle of the surface that happens to lie on a grid plane can leave two sheets in one cell. Then an edge has four
+    triangles, and the grid is shifted.
     """
     shape = tuple(int(n) for n in np.ceil((high - low) / h + 4.0))
     for attempt in range(40):

@@ -52,8 +52,8 @@ def probe(
 
     All lights that are one point or direction are summed. Others are left out, and named in the result.
 
-    Raises ``ProbeError`` where there are no lights but others, for a pixel outside of the image, for a ray without
-    such a segment, for too few parts or samples, and for spectral variants. Raises ``scene.SceneError`` as the
+    Raises ``ProbeError`` for a scene without such lights, a pixel outside of the image, and a ray without such a
+    segment. It does so for too few parts or samples and for spectral variants, too. Raises ``scene.SceneError`` as the
     integrator does.
     """
     platform.require_usable(mi.variant())
@@ -105,8 +105,7 @@ def _prepared(scene, tolerance, internal_bounces, culling):
             f"{' and '.join(left_out)} is not one point or direction, of which alone light can be followed to a ray: "
             "add a point, spot, projector or directional light"
         )
-    prepared.scene, prepared.sequence = replace(prepared.scene, emitters=exact), None
-    return prepared, left_out
+    return replace(prepared, scene=replace(prepared.scene, emitters=exact), sequence=None), left_out
 
 
 def _camera_ray(sensor, x, y):
@@ -189,7 +188,8 @@ class _Along:
 
         refracted  whether of all light; else only of light that is not refracted
         """
-        samples = single_scattering.Samples(self.ray, Batch())
+        rays = dr.gather(mi.Ray3f, self.ray, dr.zeros(mi.UInt32, n))  # each part is a camera sample of its own
+        samples = single_scattering.Samples(rays, Batch())
         found = single_scattering.scatter(self.prepared, self.pieces(n), samples, wavefront.Counts(), refracted)
         return _numbers(found.value)
 

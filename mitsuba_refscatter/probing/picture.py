@@ -68,7 +68,7 @@ def _total(panel, probe, top):
 
 
 def _triangles(panel, probe, top):
-    """Each triangle's part in its own colour, broken where its curve is, on a logarithmic scale; folds as dashed lines."""
+    """Each triangle's part in its own colour, broken where its curve is, on a logarithmic scale; folds dashed."""
     curve, number = probe.curve, len(probe.triangles.triangle)
     y = luminance(curve.radiance)
     y = np.where(np.isfinite(y), y, DECADES[1] * top)

@@ -1,7 +1,7 @@
 """What a probe holds, as NumPy arrays in float64.
 
 Radiance is that which arrives at the camera, without the sensor's own weight. It is in W/(m^2 sr) for lights in W/sr,
-with the scene's unit for m; radiance per unit length is that divided by the scene's unit. C is the number of the
+with the scene's unit for m. Radiance per unit length is that divided by the scene's unit. C is the number of the
 variant's channels: 3 (linear rgb) or 1 (mono). Distances are along the probed segment, from 0 to its length, in the
 scene's unit.
 """
