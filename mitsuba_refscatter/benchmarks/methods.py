@@ -53,6 +53,9 @@ def sphere_light(position: Sequence, intensity: Sequence, radius: float) -> dict
     position   of the point light (3,), world
     intensity  of the point light, linear rgb (3,), W/sr
     radius     of the sphere, in the scene's unit
+
+    >>> sphere_light([0, 1, 0], [np.pi, 0, 0], 2.0)["emitter"]["radiance"]["value"]
+    [0.25, 0.0, 0.0]
     """
     radiance = [float(x) / (np.pi * radius**2) for x in intensity]
     return {"type": "sphere", "center": [float(x) for x in position], "radius": radius,

@@ -170,7 +170,7 @@ def table(*headings: str) -> Table:
 def progress(what: str, total: Optional[float] = 1.0, quiet: bool = False):
     """Show a bar on stderr with the time left, gone at the end; none where that is no terminal.
 
-    what   is done
+    what   that is done, as the bar shows it
     total  work that there is, None if that is not known
     quiet  whether there is no bar
 
