@@ -15,7 +15,7 @@ CORE = [
     "estimators", "options", "film", "integrators", "plugin",
 ]  # fmt: skip
 
-TOOLS = ["probing", "example_scenes", "image_io", "benchmarks", "commands", "__main__"]
+TOOLS = ["example_scenes", "image_io", "benchmarks", "probing", "commands", "__main__"]
 """They load scenes, change them and render them, with other integrators, too."""
 
 ORDER = CORE + TOOLS
