@@ -32,7 +32,8 @@ def random_cases(rng, n, eta):
     size = 10 ** rng.uniform(-2, 0, (n, 1))
     e2 = size * (np.cross(direction, e1) + rng.uniform(-0.5, 0.5, (n, 1)) * e1)
     e1 = size * e1
-    # Normals of a sphere with this curvature, and a little noise on them; where nothing is refracted those of the facet.
+    # Normals of a sphere with this curvature, and a little noise on them; where nothing is refracted those of the
+    # facet.
     bend = rng.uniform(-0.8, 1.5, (n, 1)) * (rng.random((n, 1)) < 0.9) * (eta != 1)
     noise = bend * size * 0.2
     corners = [unit(direction + bend * e + noise * rng.normal(size=(n, 3))) for e in (0 * e1, e1, e2)]
@@ -153,7 +154,8 @@ LONGEST = 0.1
 
 
 def every_root(case, eta, starts):
-    """Case (m,) and (u, v) (m,2) of all roots inside the triangles that Newton's method finds from starts^2 points each."""
+    """Case (m,) and (u, v) (m,2) of all roots inside the triangles that Newton's method finds from starts^2 points
+    each."""
     grid = triangle_grid(starts)[0]
     middles = grid[triangle_grid(starts)[1]].mean(1)
     index = np.repeat(np.arange(len(case.V)), len(middles))

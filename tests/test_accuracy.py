@@ -89,7 +89,8 @@ def water(size=20.0, depth=10.0, cells=48):
 
 
 def against_the_plane(mesh, eta, light, tolerance, folder, steps=32):
-    """500 rays from above into a body whose top is the plane z = 0, all refracted in: the package's radiance and the formula's."""
+    """500 rays from above into a body whose top is the plane z = 0, all refracted in: the package's radiance and
+    the formula's."""
     shape = build.mesh_shape(mesh, folder / "m.ply", eta=eta)
     scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light(light)})
     rng = np.random.default_rng(3)
@@ -105,7 +106,8 @@ def against_the_plane(mesh, eta, light, tolerance, folder, steps=32):
 
 
 NEXT_TO_THE_CAMERA = (1.008, -3.002, 2.5)
-"""A light 2/1000 of its distance away from the camera: all curves turn around the camera rays' own way in, g far from linear."""
+"""A light 2/1000 of its distance away from the camera: all curves turn around the camera rays' own way in, g far
+from linear."""
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,8 @@ def test_equal_quality_goes_on_longer(rgb, subject, truth, by_samples, names, en
 
 @needs_variant
 def test_compare_with_a_given_reference_and_equal_quality(tmp_path, truth):
-    """The reference is the image given, here one that is twice too bright: the bias says so, with one sample as with many.
+    """The reference is the image given, here one that is twice too bright: the bias says so, with one sample as
+    with many.
 
     Both hold however few samples there is time for: a straight line is farther from that image than one sample of ours.
     """
@@ -146,7 +147,8 @@ def test_compare_says_what_is_wrong(tmp_path):
 
 
 def test_volpath_finds_the_same_light_as_ours(rgb, monkeypatch):
-    """As comparisons set it up: restricted to the same paths, what does not scatter subtracted, a sphere as the point light.
+    """As comparisons set it up: restricted to the same paths, what does not scatter subtracted, a sphere as the
+    point light.
 
     Here that is a large one, which it finds, and ours is lit by that sphere.
     """

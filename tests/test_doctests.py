@@ -1,4 +1,5 @@
-"""Docstrings: examples in them run, everything public has one, and tables of properties say what ``options.py`` says."""
+"""Docstrings: examples in them run, everything public has one, and tables of properties say what ``options.py``
+says."""
 
 import dataclasses
 import doctest
@@ -62,7 +63,8 @@ def properties(plugin):
 
 @pytest.mark.parametrize("plugin", PLUGINS)
 def test_tables_of_plugins_list_the_options(rgb, plugin):
-    """All of them, with type, default and choices; those that stand in one row are as of ``refscatter``, whose have each its own."""
+    """All of them, with type, default and choices; those that stand in one row are as of ``refscatter``, whose have
+    each its own."""
     rows, fields = properties(plugin), {field.name: field for field in dataclasses.fields(PLUGINS[plugin])}
     assert rows.keys() == {*fields, NESTED}
     for name, (kind, meaning) in rows.items():

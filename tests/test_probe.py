@@ -87,7 +87,8 @@ def test_against_the_oracle(probe, truth):
 def lines(probe, truth):
     """In float64, for the points of all cells (n, 3): barycentric coordinates (n, 3, 3), and three more by Snell's law.
 
-    They are the distance at which their light meets the segment's line, by how much it misses it, and the light's cosine.
+    They are the distance at which their light meets the segment's line, by how much it misses it, and the light's
+    cosine.
     """
     body, light, _ = truth
     corners = body.mesh.vertices[body.mesh.faces[probe.curve.triangle]]
@@ -155,7 +156,8 @@ def test_point_form_and_curve_form_agree(probe):
 
 @needs_variant
 def test_folds_are_where_the_curve_turns_back(probe, truth):
-    """By distances in float64 the curve of a triangle with a fold lies on one side of it, comes to it, is bright there."""
+    """By distances in float64 the curve of a triangle with a fold lies on one side of it, comes to it, is bright
+    there."""
     _, t, _, _ = lines(probe, truth)
     folded = np.flatnonzero(np.isfinite(probe.curve.fold))
     assert len(folded) == 2
@@ -170,7 +172,8 @@ def test_folds_are_where_the_curve_turns_back(probe, truth):
 
 @needs_variant
 def test_point_samples_lie_on_the_total(probe):
-    """Between the smallest and the largest of the total in the parts around them; their mean comes near the integral."""
+    """Between the smallest and the largest of the total in the parts around them; their mean comes near the
+    integral."""
     y = curves.luminance(probe.radiance)
     part = np.minimum((probe.samples.distance / probe.segments[0].length * len(y)).astype(int), len(y) - 1)
     around = np.stack([y[np.clip(part + k, 0, len(y) - 1)] for k in (-1, 0, 1)])
@@ -252,7 +255,8 @@ LAMP_INSIDE = (0.2, 0.3, 0.1)
 
 @needs_variant
 def test_light_inside_gives_airlight(rgb, scene_file):
-    """A light in the body reaches the segment straight: its parts, and all of it, are as the airlight integral has them."""
+    """A light in the body reaches the segment straight: its parts, and all of it, are as the airlight integral has
+    them."""
     loaded, intensity, n = example_scenes.load(scene_file, res="64"), np.array([10.0, 6.0, 3.0]), 64
     body = oracle_body(loaded)
     probe = probe_with(loaded, [point_light(LAMP_INSIDE, intensity)], parts=n)

@@ -1,7 +1,7 @@
 """The image that ``refscatter compare`` measures errors against, on the shipped scenes with a point light.
 
-It is compared with the float64 oracle, and with long photon beams. These take camera rays and boundaries from the package,
-but not how light comes to them. The figures stand in reports on these very scenes, with their own meshes.
+It is compared with the float64 oracle, and with long photon beams. These take camera rays and boundaries from the
+package, but not how light comes to them. The figures stand in reports on these very scenes, with their own meshes.
 """
 
 import shutil

@@ -59,5 +59,4 @@ class PairData:
         omega  Vector3f, unit direction of the refracted light
         s      Float, length of the way behind P
         """
-        u, v = uv
-        return self.illumination.visible(P, self.tri.Ng, omega, u, v, s, self.taken, active)
+        return self.illumination.visible(P, uv, omega, s, self.taken, active)

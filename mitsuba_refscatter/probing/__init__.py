@@ -75,10 +75,8 @@ def probe(
         paths = camera_paths.trace(prepared.scene, ray, True, start, limits)
         found = _segments(prepared.scene, paths)
         if not found:
-            raise ProbeError(
-                f"the ray through pixel ({x}, {y}) meets no body that scatters light: "
-                "choose a pixel in which one is seen"
-            )
+            reason = "meets no body that scatters light: choose a pixel in which one is seen"
+            raise ProbeError(f"the ray through pixel ({x}, {y}) {reason}")
         if not 0 <= segment < len(found):
             raise ProbeError(
                 f"the ray through pixel ({x}, {y}) has no segment number {segment}: it has {len(found)}, counted from 0"
