@@ -53,17 +53,10 @@ def probe(
     All lights that are one point or direction are summed. Others are left out, and named in the result.
 
     Raises ``ProbeError`` for a scene without such lights, a pixel outside of the image, and a ray without such a
-    segment. It does so for too few parts or samples and for spectral variants, too. Raises ``scene.SceneError`` as the
-    integrator does.
+    segment. It does so for too few parts or samples and for spectral variants, too.
+    Raises ``scene.SceneError`` as the integrator does.
     """
-    platform.require_usable(mi.variant())
-    if mi.is_spectral:
-        raise ProbeError("a probe has no wavelengths of its own: set an rgb or mono variant")
-    if not 0 <= sensor < len(scene.sensors()):
-        raise ProbeError(f"the scene has no sensor number {sensor}: it has {len(scene.sensors())}, counted from 0")
-    if parts < 2 or samples < 1:
-        raise ProbeError(f"{parts} parts and {samples} samples are too few: take at least 2 and 1")
-    refuse_gradients(scene)
+    _check(scene, sensor, parts, samples)
     with dr.suspend_grad():
         prepared, left_out = _prepared(scene, tolerance, internal_bounces, culling)
         film_sensor = scene.sensors()[sensor]
@@ -73,17 +66,31 @@ def probe(
         start = region_of_camera(prepared.scene, film_sensor.get_medium(), ends[0][0])
         limits = camera_paths.Limits(internal_bounces, False, prepared.accuracy.weight)
         paths = camera_paths.trace(prepared.scene, ray, True, start, limits)
-        found = _segments(prepared.scene, paths)
-        if not found:
-            reason = "meets no body that scatters light: choose a pixel in which one is seen"
-            raise ProbeError(f"the ray through pixel ({x}, {y}) {reason}")
-        if not 0 <= segment < len(found):
+        segments, places = _segments(prepared.scene, paths)
+        if not segments:
             raise ProbeError(
-                f"the ray through pixel ({x}, {y}) has no segment number {segment}: it has {len(found)}, counted from 0"
+                f"the ray through pixel ({x}, {y}) meets no body that scatters light: "
+                "choose a pixel in which one is seen"
             )
-        segments, places = zip(*found)
+        if not 0 <= segment < len(segments):
+            raise ProbeError(
+                f"the ray through pixel ({x}, {y}) has no segment number {segment}: "
+                f"it has {len(segments)}, counted from 0"
+            )
         one = _Along(prepared, places[segment], paths, ray, parts)
-        return _probe((x, y), list(segments), segment, one, samples, left_out)
+        return _probe((x, y), segments, segment, one, samples, left_out)
+
+
+def _check(scene, sensor, parts, samples):
+    """Refuse what can't be probed, whatever the ray."""
+    platform.require_usable(mi.variant())
+    if mi.is_spectral:
+        raise ProbeError("a probe has no wavelengths of its own: set an rgb or mono variant")
+    if not 0 <= sensor < len(scene.sensors()):
+        raise ProbeError(f"the scene has no sensor number {sensor}: it has {len(scene.sensors())}, counted from 0")
+    if parts < 2 or samples < 1:
+        raise ProbeError(f"{parts} parts and {samples} samples are too few: take at least 2 and 1")
+    refuse_gradients(scene)
 
 
 def _prepared(scene, tolerance, internal_bounces, culling):
@@ -120,7 +127,7 @@ def _camera_ray(sensor, x, y):
 
 
 def _segments(scene, paths):
-    """``(Segment, (region, number there))`` of all segments in regions that scatter, the largest weight first."""
+    """All segments in regions that scatter, the largest weight first, and of each the region and its number there."""
     found = []
     for region in scene.regions:
         along = paths.segments(region)
@@ -130,7 +137,8 @@ def _segments(scene, paths):
                 (Segment(o, d, float(t[0]), w, region.name), (region, i))
                 for i, (o, d, t, w) in enumerate(zip(*numbers))
             ]
-    return sorted(found, key=lambda entry: -entry[0].weight.mean())
+    found.sort(key=lambda entry: -entry[0].weight.mean())
+    return [segment for segment, _ in found], [place for _, place in found]
 
 
 def _first_leg(scene, ray):
