@@ -1,7 +1,7 @@
 """Facts about a triangle mesh that decide whether and how it can be rendered. NumPy float64 only.
 
-Positions of ``vertices`` are (V, 3), ``faces`` are indices of their corners (F, 3), ``corners`` positions of these (F,
-3, 3).
+``vertices`` (V, 3) are positions, ``faces`` (F, 3) indices of vertices, ``corners`` (F, 3, 3) positions of the faces'
+corners.
 """
 
 from __future__ import annotations
