@@ -2,6 +2,7 @@
 # make test     the tests (make test-all: also the slow ones)
 # make coverage  which lines make test runs
 # make references  what tests compare with and takes long to compute, where it is missing or a scene has changed
+# make figures  the pictures and tables of the READMEs anew, which takes hours
 # make lint     style and types; make format rewrites the files
 
 PYTHON ?= python3
@@ -9,8 +10,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCENE := scenes/bumpy_sphere/scene.xml
 PICTURE := renders/bumpy_sphere.exr
+FIGURES := renders/figures
 
-.PHONY: render test test-all coverage references lint format llvm clean
+.PHONY: render test test-all coverage references figures lint format llvm clean
 
 render: $(VENV)/.package llvm
 	$(BIN)/refscatter render $(SCENE) -o $(PICTURE)
@@ -29,6 +31,23 @@ coverage: $(VENV)/.test llvm
 
 references: $(VENV)/.test llvm
 	$(BIN)/python -m pytest -n 2 --make-references
+
+# Pictures go to where READMEs show them, tables to FIGURES; what tests print, to the terminal.
+figures: $(VENV)/.test llvm
+	$(BIN)/python -m mitsuba_refscatter.benchmarks.figures scenes/gallery/method.png
+	$(BIN)/refscatter render $(SCENE) -s 4 -D res=512 -o $(FIGURES)/bumpy_sphere.exr
+	$(BIN)/refscatter render scenes/underwater/scene.xml -s 9 -D res=240 -o $(FIGURES)/underwater.exr
+	$(BIN)/refscatter render scenes/amber/scene.xml -s 16 -o $(FIGURES)/amber.exr
+	for name in bumpy_sphere underwater amber; do cp $(FIGURES)/$$name.png scenes/$$name/picture.png || exit 1; done
+	$(BIN)/refscatter probe $(SCENE) --pixel 40 30 -D res=64 -o $(FIGURES)/probe
+	cp $(FIGURES)/probe/probe.png scenes/gallery/probe.png
+	$(BIN)/refscatter gallery -o scenes/gallery
+	$(BIN)/refscatter tradeoff scenes/*/scene.xml --tolerance 0.1 --tolerance 0.01 --tolerance 0.001 --no-choices -D res=256 -o $(FIGURES)/tradeoff
+	$(BIN)/refscatter scaling --method refscatter --method refscatter_exact_mesh --samples 16 -o $(FIGURES)/scaling
+	$(BIN)/refscatter compare $(SCENE) --seconds 10 -o $(FIGURES)/compare
+	$(BIN)/refscatter equal-error -o $(FIGURES)/equal_error
+	$(BIN)/refscatter convergence -o $(FIGURES)/convergence
+	$(BIN)/python -m pytest -m "" -s tests/test_extremes.py tests/test_fireflies.py tests/test_unseen.py tests/test_reference.py
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

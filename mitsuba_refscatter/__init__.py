@@ -1,6 +1,7 @@
 """mitsuba_refscatter: single scattering in media with refractive boundaries, as a Mitsuba 3 integrator.
 
-``import mitsuba_refscatter`` registers the plugin ``refscatter``, before or after ``mi.set_variant``. ``probe`` looks at one camera ray.
+``import mitsuba_refscatter`` registers the plugin ``refscatter``, before or after ``mi.set_variant``. ``probe`` looks
+at one camera ray.
 """
 
 from . import plugin

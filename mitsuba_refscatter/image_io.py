@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Optional
 
+import mitsuba as mi
 import numpy as np
 
+import mitsuba_refscatter
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Of linear sRGB."""
 PNG_PERCENTILE = 97.0  # of the luminance of lit pixels; caustics and highlights lie above
 PNG_LEVEL = 0.8  # linear value that this percentile is shown at
 
@@ -50,7 +56,7 @@ def _beside(path: Path) -> Path:
     return path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
 
 
-def write_file(path, write) -> None:
+def write_file(path, write: Callable) -> None:
     """Let ``write(path)`` make a file beside ``path`` and rename it: an earlier file stays until then."""
     path = Path(path)
     unfinished = _beside(path)
@@ -63,6 +69,11 @@ def write_file(path, write) -> None:
         unfinished.unlink(missing_ok=True)
 
 
+def luminance(radiance: np.ndarray) -> np.ndarray:
+    """Luminance (...) of linear rgb (..., 3), or the value itself of one channel (..., 1)."""
+    return radiance @ LUMINANCE if radiance.shape[-1] == 3 else radiance[..., 0]
+
+
 def exposure(rgb: np.ndarray) -> float:
     """Return the factor that shows the 97th percentile of the luminance of lit pixels (H, W, 3) at 0.8.
 
@@ -71,14 +82,15 @@ def exposure(rgb: np.ndarray) -> float:
     >>> round(exposure(np.full((4, 4, 3), 4.0)), 3)
     0.2
     """
-    luminance = rgb @ np.array([0.2126, 0.7152, 0.0722])
-    lit = luminance[np.isfinite(luminance) & (luminance > 0.0)]
+    brightness = luminance(rgb)
+    lit = brightness[np.isfinite(brightness) & (brightness > 0.0)]
     return float(PNG_LEVEL / np.percentile(lit, PNG_PERCENTILE)) if lit.size else 1.0
 
 
 def tone_map(rgb: np.ndarray, factor: Optional[float] = None) -> np.ndarray:
-    """Return 8-bit sRGB: the linear image times ``factor`` (None: its ``exposure``), clipped, then the sRGB curve. Non-finite
-    is black.
+    """Return 8-bit sRGB: the linear image times ``factor`` (None: its ``exposure``), clipped, then the sRGB curve.
+
+    What is not finite is black.
 
     >>> tone_map(np.array([[[0.0, 0.5, 1.0], [2.0, np.nan, 0.0]]]), factor=1.0).tolist()
     [[[0, 188, 255], [255, 0, 0]]]
@@ -90,10 +102,8 @@ def tone_map(rgb: np.ndarray, factor: Optional[float] = None) -> np.ndarray:
     return np.round(255.0 * encoded).astype(np.uint8)
 
 
-def rgb_of(bitmap) -> Optional[np.ndarray]:
+def rgb_of(bitmap: mi.Bitmap) -> Optional[np.ndarray]:
     """The main image of a bitmap as linear RGB (H, W, 3), or None if it has none (a film of raw spectral channels)."""
-    import mitsuba as mi
-
     images = dict(bitmap.split())
     main = images.get("<root>", bitmap)
     if main.pixel_format() == mi.Bitmap.PixelFormat.MultiChannel:
@@ -102,28 +112,31 @@ def rgb_of(bitmap) -> Optional[np.ndarray]:
 
 
 def about(integrator, scene: str, spp: Optional[int] = None, seed: Optional[int] = None) -> dict:
-    """What an EXR's header says of the image: the integrator with its settings, the scene (a name, no path), samples per
-    pixel and seed where they are known, versions and variant."""
-    import mitsuba as mi
+    """What an EXR's header says of the image, with versions and variant.
 
-    import mitsuba_refscatter
-
+    integrator  with its settings
+    scene       a name, no path
+    spp         samples per pixel, None if they are not known
+    seed        None if there is none
+    """
     said = {"integrator": str(integrator), "scene": scene, "spp": spp, "seed": seed, "variant": mi.variant(),
             "mitsuba": mi.__version__, "refscatter": mitsuba_refscatter.__version__}  # fmt: skip
     return {key: value for key, value in said.items() if value is not None}
 
 
-def write_image(path, image, factor: Optional[float] = None, header: Optional[dict] = None):
-    """Write ``image`` to ``path`` (EXR, all channels with their names) and a PNG beside it.
+def write_image(
+    path, image: mi.Bitmap | np.ndarray, factor: Optional[float] = None, header: Optional[dict] = None
+) -> tuple[Path, Optional[Path]]:
+    """Write an EXR of all channels with their names, and a tone-mapped PNG beside it; return the two paths.
 
-    ``image`` is a ``mi.Bitmap`` (``film.bitmap()``) or an array (height, width, 1 to 4). Both
-    files are written under hidden names and renamed at the end, so that a failure leaves
-    earlier pictures as they were. The PNG shows the image times ``factor`` (None: the 97th percentile of
-    the luminance of lit pixels at 0.8), in sRGB; there is none (None) if the image has no RGB or grey channels.
-    ``header``: attributes that the EXR gets, as of ``about``. Returns the two paths.
+    path    of the EXR, as ``target`` takes it
+    image   ``film.bitmap()``, or an array (H, W, 1 to 4)
+    factor  that the PNG shows the image times, None: its ``exposure``
+    header  attributes of the EXR, as of ``about``
+
+    There is no PNG, and None for its path, if the image has no RGB or grey channels. Both files are written under
+    hidden names and renamed at the end, so that a failure leaves earlier pictures as they were.
     """
-    import mitsuba as mi
-
     path = target(path)
     bitmap = image if isinstance(image, mi.Bitmap) else mi.Bitmap(np.asarray(image, dtype=np.float32))
     rgb = rgb_of(bitmap)

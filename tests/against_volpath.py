@@ -4,6 +4,7 @@
 scattering is as short. Edges count from the camera on; null and thindielectric crossings do not.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import mitsuba as mi
@@ -53,9 +54,9 @@ class Case:
     """A scene: a function that returns its ``parts`` (once a variant is set), the edges of its paths (``depth``), the
     ``medium``, options of refscatter, and renders (number, samples per pixel) of both sides."""
 
-    parts: object
+    parts: Callable[[], dict]
     depth: int = 2
-    medium: object = medium
+    medium: Callable[[], dict] = medium
     options: dict = field(default_factory=dict)
     ours: tuple = (8, 16)
     theirs: tuple = (24, 64)
@@ -93,4 +94,4 @@ class Case:
 
     def agreement(self, name):
         """``Agreement`` of refscatter with what is kept of volpath."""
-        return compare(self.by_refscatter(), self.cache(name), BLOCK)
+        return compare(self.by_refscatter(), self.kept(name), BLOCK)

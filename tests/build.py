@@ -35,8 +35,8 @@ def point_light(position, intensity=(10.0, 10.0, 10.0)):
 
 
 def single_scattering(scene, o, d, medium=None, seed=0, **options):
-    """Radiance (n, 3) that ``refscatter`` (or another ``type``) finds along rays o, d (n, 3), which start in ``medium``, without
-    surfaces."""
+    """Radiance (n, 3) that ``refscatter`` (or another ``type``) finds along rays o, d (n, 3), which start in
+    ``medium``, without surfaces."""
     integrator = mi.load_dict({"type": "refscatter", "surfaces": False, **options})
     ray = mi.Ray3f(*(x(np.asarray(a, np.float32).T) for x, a in ((mi.Point3f, o), (mi.Vector3f, d))))
     sampler = mi.load_dict({"type": "independent"})

@@ -1,6 +1,7 @@
 """Closed forms of single scattering that the oracle and the package are held against; all return (n,C).
 
-Arguments as those of ``oracle.segment_radiance``.  NumPy float64.
+medium: an ``oracle.Medium``, for which a ``Body`` may stand.  light, rays: those of ``oracle.segment_radiance``, the
+intensity no function.  NumPy float64.
 """
 
 import numpy as np
@@ -8,32 +9,33 @@ from meshes import BoxTree, dot, fresnel_reflectance, norm, panels, switches
 from oracle import phase
 
 
-def straight_line_radiance(mesh, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max, steps=512):
+def straight_line_radiance(mesh, medium, light, rays, steps=512):
     """eta = 1: quadrature over t, lit where V -> light crosses the mesh exactly once."""
-    tree, total = BoxTree([mesh]), []
+    tree, total, (source, intensity) = BoxTree([mesh]), [], light
 
     def crossings(o, d, t):
         point = o + t[:, None] * d
-        length = norm(light_position - point)
-        to_light = (light_position - point) / length
+        length = norm(source - point)
+        to_light = (source - point) / length
         ray, _, tuv = tree.hits(point, to_light, length[:, 0], np.full(len(t), -1))
         count, depth = np.bincount(ray, minlength=len(t)), np.bincount(ray, tuv[:, 0], len(t))
         return count, depth, length, to_light
 
-    for o, d, edges in zip(o, d, np.multiply.outer(t_max, np.linspace(0, 1, steps + 1))):
+    for o, d, edges in zip(rays.o, rays.d, np.multiply.outer(rays.t_max, np.linspace(0, 1, steps + 1))):
         jumps = switches(lambda t: crossings(o, d, t)[0][None], (edges[1:] + edges[:-1]) / 2)
         t, w = panels(np.sort(np.concatenate([edges, jumps])), 3)
         count, depth, length, to_light = crossings(o, d, t)
-        value = (w * (count == 1))[:, None] * phase(g, dot(to_light, d)) / length**2
-        total.append((value * np.exp(-np.multiply(sigma_t, (t + depth)[:, None]))).sum(0))
-    return np.array(total) * sigma_s * light_intensity
+        value = (w * (count == 1))[:, None] * phase(medium.g, dot(to_light, d)) / length**2
+        total.append((value * np.exp(-np.multiply(medium.sigma_t, (t + depth)[:, None]))).sum(0))
+    return np.array(total) * medium.sigma_s * intensity
 
 
-def plane_radiance(eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max, steps=32):
+def plane_radiance(eta, medium, light, rays, steps=32):
     """Medium below z = 0, light above: quadrature over t of the point form with the flat D."""
-    t, w = (t_max[:, None] * x for x in panels(np.linspace(0, 1, steps + 1), 16))
-    point = o[:, None] + t[..., None] * d[:, None]
-    along, (h_l, h_v) = point[..., :2] - light_position[:2], (light_position[2], -point[..., 2])
+    (source, intensity), d = light, rays.d
+    t, w = (rays.t_max[:, None] * x for x in panels(np.linspace(0, 1, steps + 1), 16))
+    point = rays.o[:, None] + t[..., None] * d[:, None]
+    along, (h_l, h_v) = point[..., :2] - source[:2], (source[2], -point[..., 2])
     rho = norm(along)[..., 0]
     lo, hi = np.zeros_like(rho), rho
     for _ in range(60):  # distance of P from the light's foot
@@ -45,17 +47,18 @@ def plane_radiance(eta, sigma_s, sigma_t, g, light_position, light_intensity, o,
     big_d = (d_v + eta * d_l) * (c_l / c_v * d_v + c_v / c_l * eta * d_l)
     level = (along * d[:, None, :2]).sum(-1) / np.maximum(rho, 1e-300) * (rho - x) / d_v
     w = w * (1 - fresnel_reflectance(c_l, c_v, eta)) * eta**2 / big_d
-    w = w * phase(g, c_v * d[:, 2:] - level)
-    w = w[..., None] * np.exp(-np.multiply(sigma_t, (t + d_v)[..., None]))
-    return w.sum(1) * sigma_s * light_intensity
+    w = w * phase(medium.g, c_v * d[:, 2:] - level)
+    w = w[..., None] * np.exp(-np.multiply(medium.sigma_t, (t + d_v)[..., None]))
+    return w.sum(1) * medium.sigma_s * intensity
 
 
-def sphere_radiance(radius, eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max, scan=20001):
+def sphere_radiance(radius, eta, medium, light, rays, scan=20001):
     """Exact sphere about the origin: quadrature over phi, the angle at the centre from light to P.
 
     Its light is a cone about that axis, a quadratic in t; nodes crowd where roots begin or end."""
-    far = np.linalg.norm(light_position)
-    axis, phi_max, total = np.asarray(light_position) / far, np.arccos(radius / far), []
+    source, intensity = light
+    far = np.linalg.norm(source)
+    axis, phi_max, total = np.asarray(source) / far, np.arccos(radius / far), []
 
     @np.errstate(divide="ignore", invalid="ignore")  # lanes without a root are masked
     def roots(phi, o, d, t_max):
@@ -82,10 +85,10 @@ def sphere_radiance(radius, eta, sigma_s, sigma_t, g, light_position, light_inte
         omega = w_r[:, None] * outward + w_z[:, None] * axis
         volume = np.abs(dot(np.cross(omega, np.cross(axis, point)), d)[..., 0])  # axis x V: dV/dpsi
         flux = c_l * (1 - fresnel_reflectance(c_l, c_v, eta)) * radius**2 * sine / d_l**2
-        value = flux * phase(g, -(omega @ d)) / volume
+        value = flux * phase(medium.g, -(omega @ d)) / volume
         return real, np.where(real, t + s, 0), np.where(real, value, 0)
 
-    for line in zip(o, d, t_max):
+    for line in zip(rays.o, rays.d, rays.t_max):
         phi = phi_max * (np.arange(scan) + 0.5) / scan
         ends = np.concatenate([[0], switches(lambda x: roots(x, *line)[0], phi), [phi_max]])
         x, w = panels(np.linspace(-1, 1, 17), 12)
@@ -93,19 +96,20 @@ def sphere_radiance(radius, eta, sigma_s, sigma_t, g, light_position, light_inte
         phi = (ends[:-1, None] + half * (1 + np.sin(np.pi / 2 * x))).ravel()
         w = (half * np.pi / 2 * np.cos(np.pi / 2 * x) * w).ravel()
         _, path, value = roots(phi, *line)
-        path = np.exp(-np.multiply(sigma_t, path[..., None]))
+        path = np.exp(-np.multiply(medium.sigma_t, path[..., None]))
         total.append(((w * value)[..., None] * path).sum((0, 1)))
-    return np.array(total) * sigma_s * light_intensity
+    return np.array(total) * medium.sigma_s * intensity
 
 
-def airlight_radiance(sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max, steps=200):
-    """Light and camera in the medium: quadrature over the angle phi of V seen from the light, from the ray's foot on."""
-    to_light = light_position - o
-    x0 = (to_light * d).sum(-1, keepdims=True)
-    h = norm(to_light - x0 * d)
-    first, last = np.arctan(-x0 / h), np.arctan((t_max[:, None] - x0) / h)
+def airlight_radiance(medium, light, rays, steps=200):
+    """Light and camera in the medium: quadrature over the angle phi at the light, from the ray's foot to V."""
+    source, intensity = light
+    to_light = source - rays.o
+    x0 = (to_light * rays.d).sum(-1, keepdims=True)
+    h = norm(to_light - x0 * rays.d)
+    first, last = np.arctan(-x0 / h), np.arctan((rays.t_max[:, None] - x0) / h)
     x, w = panels(np.linspace(0, 1, steps + 1), 16)
     phi = first + (last - first) * x
     path = x0 + h * np.tan(phi) + h / np.cos(phi)  # from the camera to V and from V to the light
-    value = (w * phase(g, -np.sin(phi)))[..., None] * np.exp(-np.multiply(sigma_t, path[..., None]))
-    return value.sum(1) * (last - first) / h * sigma_s * light_intensity
+    value = (w * phase(medium.g, -np.sin(phi)))[..., None] * np.exp(-np.multiply(medium.sigma_t, path[..., None]))
+    return value.sum(1) * (last - first) / h * medium.sigma_s * intensity

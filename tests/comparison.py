@@ -1,5 +1,6 @@
-"""Two measures of the error of an image or of rays, ``l1`` and ``bias``; and comparison of two image estimators that both
-have noise: blocks of pixels, z values, chi-square.
+"""Two measures of the error of an image or of rays, and comparison of two image estimators that both have noise.
+
+The measures are ``l1`` and ``bias``; the comparison is by blocks of pixels, z values and chi-square.
 
 Each estimator is given as an array (replicates, height, width, channels) of independent renders with
 the same expectation, or as the ``Statistics`` of one.  Nothing here knows what is rendered.

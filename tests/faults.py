@@ -30,9 +30,12 @@ def rectangle(**more):
 
 def sensor(origin=(0, 0, 5), target=(0, 0, 0), **more):
     return {
-        "type": "perspective", "to_world": mi.ScalarTransform4f().look_at(list(origin), list(target), [0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": 8, "height": 8}, "sampler": {"type": "independent", "sample_count": 1}, **more,
-    }  # fmt: skip
+        "type": "perspective",
+        "to_world": mi.ScalarTransform4f().look_at(list(origin), list(target), [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 8, "height": 8},
+        "sampler": {"type": "independent", "sample_count": 1},
+        **more,
+    }
 
 
 class Maker:

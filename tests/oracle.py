@@ -1,8 +1,9 @@
 """Ground truth in float64 NumPy: single scattering inside refractive triangle meshes, point lights.
 
-From the formulas of the papers alone (README); shares no code with the package.  World space, one length
-unit; sigma_s, sigma_t in 1/length, intensity in W/sr, radiance in W/(m^2 sr).  C colour channels, a
-scalar counts as C = 1.  Directions are unit vectors.  eta = n_in / n_out; at 1 facet normals hold.
+From the formulas of the papers alone (mitsuba_refscatter/README.md); shares no code with the package.
+World space, one length unit; sigma_s, sigma_t in 1/length, intensity in W/sr, radiance in W/(m^2 sr).
+C colour channels, a scalar counts as C = 1.  Directions are unit vectors.  eta = n_in / n_out; at 1
+facet normals hold.
 All surfaces on P-L and P-V shadow.  Not modelled: nested bodies, lights inside, light-side bounces.
 """
 
@@ -31,8 +32,18 @@ COARSE = 1 / 12  # side in (u,v) of the micro triangles above which none is clip
 MAX_SPLITS = 6  # such splits at most; then the mean slope of the chord's ends stands in
 NEGLIGIBLE = 1e-12  # a branch of the camera path that carries less weight is not followed
 
-# A mesh filled with a homogeneous medium: sigma_s, sigma_t (C,); g of Henyey-Greenstein.
+# A homogeneous medium: sigma_s, sigma_t (C,); g of Henyey-Greenstein.
+Medium = namedtuple("Medium", "sigma_s sigma_t g")
+# A mesh filled with one.  It has the fields of a Medium and may stand for it.
 Body = namedtuple("Body", "mesh eta sigma_s sigma_t g", defaults=(0.0,))
+
+
+class CameraRays(namedtuple("CameraRays", "o d t_max")):
+    """Segments o + t d, 0 < t < t_max, of camera rays: o, d (n,3), t_max (n,)."""
+
+    def take(self, index):
+        """Those with the numbers `index`."""
+        return CameraRays(*(x[index] for x in self))
 
 
 def phase(g, cosine):
@@ -40,7 +51,7 @@ def phase(g, cosine):
     return (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
 
 
-# ---- The curve form (README, How it works) ------------------------------------------------------
+# ---- The curve form (mitsuba_refscatter/README.md) ------------------------------------------------------
 # Light refracted at (u,v), (...,3) and (...,1): w_l = omega_L, length = |N|, radicand = c_V^2.
 LightRay = namedtuple("LightRay", "point n omega w_l length d_l c_l radicand c_v")
 
@@ -83,6 +94,22 @@ def beam_gap(patch, uv, light, eta, o, d):
     return dot(away, across)[:, 0], np.hstack(gradient)
 
 
+class Beams(namedtuple("Beams", "patch light eta")):
+    """A Patch, the point that lights it, and eta: what Snell's law needs to know of light in a body."""
+
+    def take(self, index):
+        """Those through the triangles with the numbers `index`."""
+        return self._replace(patch=take(self.patch, index))
+
+    def at(self, uv):
+        """The `light_ray` at uv."""
+        return light_ray(self.patch, uv, self.light, self.eta)
+
+    def gap(self, uv, rays):
+        """The `beam_gap` at uv to camera rays."""
+        return beam_gap(self.patch, uv, self.light, self.eta, rays.o, rays.d)
+
+
 def _candidates(uv, radicand, g, g_u, g_v, reach):
     """Whether to look for g = 0 on micro triangles; all but reach are three corners' arrays.
 
@@ -98,7 +125,7 @@ def meeting(x, o, d):
     return dot(np.cross(away, x.omega), across), dot(np.cross(away, d), across), dot(across, across)
 
 
-def _cut(patch, uv, g, light, eta, o, d):
+def _cut(beams, rays, uv, g):
     """Where g = 0 on two edges of micro triangles uv (n,3,2), g (n,3): [uv (n,2), grad g] twice.
 
     Exact, not interpolated: neighbours that are cut to different depths must agree on it."""
@@ -108,7 +135,7 @@ def _cut(patch, uv, g, light, eta, o, d):
         start, edge, value = uv[i, odd], uv[i, k] - uv[i, odd], g[i, odd]
         lo, hi, x = np.zeros(len(g)), np.ones(len(g)), value / (value - g[i, k])
         for _ in range(5):  # Newton, bisection where it leaves the bracket
-            gap, gradient = beam_gap(patch, start + x[:, None] * edge, light, eta, o, d)
+            gap, gradient = beams.gap(start + x[:, None] * edge, rays)
             before = (gap > 0) == (value > 0)
             lo, hi = np.where(before, x, lo), np.where(before, hi, x)
             slope = (gradient * edge).sum(1)
@@ -119,49 +146,51 @@ def _cut(patch, uv, g, light, eta, o, d):
     return ends
 
 
-def _clip(patch, a, b, light, eta, o, d, t_max):
+def _clip(beams, rays, a, b):
     """Part lo..hi of the chords a..b (n,2) where s, t, t_max - t, both cosines and c_V^2 are > 0;
     hi < 0: none.  Also the share of the segment seen.  s, t times |d x omega|^2 stay smooth."""
     lo, hi, sides, reach = np.zeros((len(a), 1)), np.ones((len(a), 1)), [], []
+    t_max = rays.t_max[:, None]
     for uv in (a, b):
-        x = light_ray(patch, uv, light, eta)
-        t, s, scale = meeting(x, o, d)
-        sides.append((t, s, t_max[:, None] * scale - t, x.c_l, x.radicand, -dot(x.omega, patch.ng)))
-        reach.append(np.clip(t / np.maximum(scale, 1e-300), 0, t_max[:, None]))
+        x = beams.at(uv)
+        t, s, scale = meeting(x, rays.o, rays.d)
+        sides.append((t, s, t_max * scale - t, x.c_l, x.radicand, -dot(x.omega, beams.patch.ng)))
+        reach.append(np.clip(t / np.maximum(scale, 1e-300), 0, t_max))
     for start, end in zip(*sides):
         root = start / np.where(start == end, 1, start - end)
         lo = np.where((start <= 0) & (end > 0), np.maximum(lo, root), lo)
         hi = np.where((start > 0) & (end <= 0), np.minimum(hi, root), hi)
         hi = np.where((start <= 0) & (end <= 0), -1, hi)
-    return lo, hi, np.abs(reach[1] - reach[0]) / t_max[:, None]
+    return lo, hi, np.abs(reach[1] - reach[0]) / t_max
 
 
-def _curve(patches, ray, tri, uv, g, light, eta, o, d, t_max):
+def _curve(beams, rays, ray, tri, uv, g):
     """Pieces of g = 0: list of (ray (m,), tri (m,), uv (m,2) middle and both ends, dl/|grad g|).
 
-    Starts from micro triangles uv (n,3,2) with g (n,3) at their corners.  Where the curve stays
+    Starts from micro triangles uv (n,3,2) with g (n,3) at their corners, of the triangles tri (n,)
+    of `beams`, for the numbers ray (n,) of `rays`.  Where the curve stays
     in one and grad g changes little, the chord stands for it; else the triangle is quartered."""
     found = []
     for depth in range(MAX_SPLITS + 1):
         cut = (g > 0).any(1) & (g <= 0).any(1)
         rest = [x[~cut] for x in (ray, tri, uv)]
         ray, tri, uv, g = (x[cut] for x in (ray, tri, uv, g))
-        patch, origin, along = take(patches, tri), o[ray], d[ray]
-        (a, slope_a), (b, slope_b) = _cut(patch, uv, g, light, eta, origin, along)
-        lo, hi, span = _clip(patch, a, b, light, eta, origin, along, t_max[ray])
+        beam, camera = beams.take(tri), rays.take(ray)
+        (a, slope_a), (b, slope_b) = _cut(beam, camera, uv, g)
+        lo, hi, span = _clip(beam, camera, a, b)
         keep = ((hi > 0) | (norm(uv[:, 1] - uv[:, 0]) > COARSE))[:, 0]
         ray, tri, uv, a, b, slope_a, slope_b, lo, hi, span = (
             x[keep] for x in (ray, tri, uv, a, b, slope_a, slope_b, lo, hi, span)
         )
-        patch, origin, along = take(patches, tri), o[ray], d[ray]
+        beam, camera = beams.take(tri), rays.take(ray)
         size, point = norm(uv[:, 1] - uv[:, 0]), a + (lo + hi) / 2 * (b - a)
         for _ in range(2):  # Newton along grad g, not far
-            value, gradient = beam_gap(patch, point, light, eta, origin, along)
+            value, gradient = beam.gap(point, camera)
             step = value[:, None] * gradient / np.maximum(dot(gradient, gradient), 1e-300)
             point = point - step * np.minimum(1, size / np.maximum(norm(step), 1e-300))
         inside, point = within(uv, point), np.maximum(point, 0)
         point = point / np.maximum(1, point.sum(1, keepdims=True))
-        gradient = beam_gap(patch, point, light, eta, origin, along)[1]
+        gradient = beam.gap(point, camera)[1]
         change = norm(slope_b - slope_a) + norm(slope_b + slope_a - 2 * gradient)
         rough = change > ROUGH * norm(gradient)
         slope = np.where(rough, (norm(slope_a) + norm(slope_b)) / 2, norm(gradient))
@@ -171,86 +200,77 @@ def _curve(patches, ray, tri, uv, g, light, eta, o, d, t_max):
         found.append([x[some] for x in (ray, tri, point, a, b, weight)])
         rest = [np.concatenate([x[~done], y]) for x, y in zip((ray, tri, uv), rest)]
         if depth < MAX_SPLITS:
-            ray, tri, uv, g = _quarter(patches, *rest, light, eta, o, d)
+            ray, tri, uv, g = _quarter(beams, rays, *rest)
     return found
 
 
-def _quarter(patches, ray, tri, uv, light, eta, o, d):
+def _quarter(beams, rays, ray, tri, uv):
     """Cut micro triangles uv (n,3,2) in four; keep those on which g may vanish, with its values."""
     ray, tri, uv = np.tile(ray, 4), np.tile(tri, 4), quarter(uv)
-    patch = take(patches, tri)
-    g, gradient = zip(*[beam_gap(patch, uv[:, k], light, eta, o[ray], d[ray]) for k in range(3)])
-    corners = [light_ray(patch, uv[:, k], light, eta) for k in range(3)]
-    reach = np.max([np.abs(dot(x.point - o[ray], np.cross(d[ray], x.n))) for x in corners], 0)[:, 0]
+    beam, camera = beams.take(tri), rays.take(ray)
+    g, gradient = zip(*[beam.gap(uv[:, k], camera) for k in range(3)])
+    corners = [beam.at(uv[:, k]) for k in range(3)]
+    reach = np.max([np.abs(dot(x.point - camera.o, np.cross(camera.d, x.n))) for x in corners], 0)[:, 0]
     keep = _candidates(
         uv.swapaxes(0, 1), [x.radicand[:, 0] for x in corners], g, *np.moveaxis(gradient, 2, 0), 1.5 * reach
     )
     return ray[keep], tri[keep], uv[keep], np.stack(g, 1)[keep]
 
 
-def segment_radiance(
-    mesh, eta, sigma_s, sigma_t, g, light_position, light_intensity, o, d, t_max, subdivisions=8, occluders=()
-):
+def segment_radiance(body, light, rays, subdivisions=8, occluders=()):
     """Single scattering along camera segments inside a body, (n,C), by the curve form.
 
-    o, d (n,3), t_max (n,): segments o + t d, 0 < t < t_max, in the body that `mesh` bounds.
-    sigma_s, sigma_t, light_intensity: scalars or (C,), the latter also a function of directions
-    (m,3), (m,C) or (m,1); g: Henyey-Greenstein asymmetry.
+    rays: CameraRays, or Segments.  light: its point (3,) and its intensity.  sigma_s and sigma_t of the
+    body and intensity: scalars or (C,), the last also a function of directions (m,3), (m,C) or (m,1).
     Lit triangles are cut in subdivisions^2 to begin with.  occluders: more meshes that shadow."""
+    (point, intensity), mesh = light, body.mesh
     centre = mesh.corners.reshape(-1, 3).mean(0)  # keeps Pluecker products accurate
     move = [Mesh(m.vertices - centre, m.faces, m.normals) for m in (mesh, *occluders)]
-    light, o, d, t_max = light_position - centre, o - centre, np.asarray(d), np.asarray(t_max)
-    tree, patches, found = BoxTree(move), make_patches(move[0], eta), []
-    colours = [x if callable(x) else np.atleast_1d(np.asarray(x, float)) for x in (sigma_s, sigma_t, light_intensity)]
-    total = np.zeros((len(o), max(1 if callable(x) else len(x) for x in colours)))
-    lit = np.flatnonzero(dot(light - patches.p, patches.ng) > 0)
-    grid, micro = triangle_grid(subdivisions)
-    some, reach = take(patches, lit[:, None]), 2 * norm(move[0].vertices).max()
-    x = light_ray(some, grid, light, eta)
-    lines = [np.concatenate([np.cross(x.omega, x.point), -x.omega], -1)]
-    lines += [
-        np.concatenate([np.cross(slope, x.point) + np.cross(x.omega, e), -slope], -1)
-        for e, slope in zip((some.e1, some.e2), light_slopes(some, x, eta))
+    beams = Beams(make_patches(move[0], body.eta), point - centre, body.eta)
+    rays = CameraRays(rays.o - centre, np.asarray(rays.d), np.asarray(rays.t_max))
+    colours = [
+        x if callable(x) else np.atleast_1d(np.asarray(x, float)) for x in (body.sigma_s, body.sigma_t, intensity)
     ]
-    batch = max(1, GRID_BATCH // max(1, lines[0].size))
-    for first in range(0, len(o), batch):  # g, g_u, g_v as 6-D Pluecker products
-        camera = np.hstack([d, np.cross(o, d)])[first : first + batch].T
-        values = [np.moveaxis(line @ camera, 2, 0) for line in lines]
-        ray, tri, cell = np.nonzero(
-            _candidates(
-                grid[micro.T],
-                [x.radicand[:, corner, 0] for corner in micro.T],
-                *([v[..., corner] for corner in micro.T] for v in values),
-                reach,
-            )
-        )
-        found += _curve(
-            patches,
-            ray + first,
-            lit[tri],
-            grid[micro[cell]],
-            values[0][ray[:, None], tri[:, None], micro[cell]],
-            light,
-            eta,
-            o,
-            d,
-            t_max,
-        )
-    for ray, tri, uv, a, b, weight in found:
-        patch, segment = take(patches, tri), (o[ray], d[ray], t_max[ray, None])
-        weight = weight * _lit_share(patch, tri, a, b, eta, light, segment, tree)
-        np.add.at(total, ray, weight * _integrand(patch, uv, eta, colours, g, light, segment))
+    sigma_s, sigma_t, intensity = colours
+    tree, medium = BoxTree(move), Medium(sigma_s, sigma_t, body.g)
+    total = np.zeros((len(rays.o), max(1 if callable(x) else len(x) for x in colours)))
+    for ray, tri, uv, a, b, weight in _curves(beams, rays, subdivisions, 2 * norm(move[0].vertices).max()):
+        beam, camera = beams.take(tri), rays.take(ray)
+        weight = weight * _lit_share(beam, camera, tri, a, b, tree)
+        np.add.at(total, ray, weight * _integrand(beam, camera, uv, medium, intensity))
     return total
 
 
-def _lit_share(patch, tri, a, b, eta, light, segment, tree):
+def _curves(beams, rays, subdivisions, reach):
+    """Pieces of g = 0 on all lit triangles, as `_curve` lists them; reach as in `_candidates`."""
+    lit = np.flatnonzero(dot(beams.light - beams.patch.p, beams.patch.ng) > 0)
+    (grid, micro), some, found = triangle_grid(subdivisions), beams.take(lit[:, None]), []
+    x = some.at(grid)
+    lines = [np.concatenate([np.cross(x.omega, x.point), -x.omega], -1)]
+    lines += [
+        np.concatenate([np.cross(slope, x.point) + np.cross(x.omega, e), -slope], -1)
+        for e, slope in zip((some.patch.e1, some.patch.e2), light_slopes(some.patch, x, beams.eta))
+    ]
+    batch = max(1, GRID_BATCH // max(1, lines[0].size))
+    for first in range(0, len(rays.o), batch):  # g, g_u, g_v as 6-D Pluecker products
+        camera = np.hstack([rays.d, np.cross(rays.o, rays.d)])[first : first + batch].T
+        values = [np.moveaxis(line @ camera, 2, 0) for line in lines]
+        radicands = [x.radicand[:, corner, 0] for corner in micro.T]
+        corners = ([v[..., corner] for corner in micro.T] for v in values)
+        ray, tri, cell = np.nonzero(_candidates(grid[micro.T], radicands, *corners, reach))
+        g = values[0][ray[:, None], tri[:, None], micro[cell]]
+        found += _curve(beams, rays, ray + first, lit[tri], grid[micro[cell]], g)
+    return found
+
+
+def _lit_share(beams, rays, tri, a, b, tree):
     """Share of the chords a..b (n,2) that nothing shadows, (n,1); one change is bisected."""
 
     def visible(uv, k):
-        x, (o, d, t_max) = light_ray(take(patch, k), uv, light, eta), (y[k] for y in segment)
-        t, _, scale = meeting(x, o, d)
-        v = o + d * np.clip(t / np.maximum(scale, 1e-300), 0, t_max)
-        free = tree.clear(x.point, np.broadcast_to(light, v.shape), tri[k])
+        x, camera = beams.take(k).at(uv), rays.take(k)
+        t, _, scale = meeting(x, camera.o, camera.d)
+        v = camera.o + camera.d * np.clip(t / np.maximum(scale, 1e-300), 0, camera.t_max[:, None])
+        free = tree.clear(x.point, np.broadcast_to(beams.light, v.shape), tri[k])
         free[free] = tree.clear(x.point[free], v[free], tri[k][free])
         return free
 
@@ -261,17 +281,17 @@ def _lit_share(patch, tri, a, b, eta, light, segment, tree):
     return share[:, None]
 
 
-def _integrand(patch, uv, eta, colours, g, light, segment):
+def _integrand(beams, rays, uv, medium, intensity):
     """I T A2 |omega.Ng| / d_L^2 sigma_s p exp(-sigma_t (t + s)), (m,C), at uv (m,2)."""
-    x, (o, d, t_max) = light_ray(patch, uv, light, eta), segment
-    t, s, scale = meeting(x, o, d)
-    t, s = np.clip(t / scale, 0, t_max), np.maximum(s / scale, 0)
+    x, patch, eta = beams.at(uv), beams.patch, beams.eta
+    t, s, scale = meeting(x, rays.o, rays.d)
+    t, s = np.clip(t / scale, 0, rays.t_max[:, None]), np.maximum(s / scale, 0)
     c_l, c_v = np.maximum(x.c_l, 0), x.c_v  # below: T = (1 - F) c_L / c_V
     transmitted = 2 * eta * c_l**2 * (1 / (c_l + eta * c_v) ** 2 + 1 / (eta * c_l + c_v) ** 2)
     flux = transmitted * patch.area2 * np.abs(dot(x.omega, patch.ng)) / x.d_l**2
-    sigma_s, sigma_t, intensity = colours
     intensity = intensity(-x.w_l) if callable(intensity) else intensity
-    value = flux * phase(g, -dot(x.omega, d)) * sigma_s * intensity * np.exp(-sigma_t * (t + s))
+    scattered = flux * phase(medium.g, -dot(x.omega, rays.d)) * medium.sigma_s
+    value = scattered * intensity * np.exp(-medium.sigma_t * (t + s))
     if not np.isfinite(value).all():
         raise FloatingPointError("non-finite radiance")
     return value
@@ -331,29 +351,16 @@ def camera_segments(bodies, o, d, internal_bounces, opaque=()):
     return Segments(*(np.concatenate(x) for x in zip(*segments)))
 
 
-def camera_radiance(bodies, lights, o, d, internal_bounces, subdivisions=8, opaque=()):
+def camera_radiance(bodies, lights, o, d, internal_bounces, subdivisions=8, *, opaque=()):
     """Single scattering that arrives along camera rays o, d (n,3) from outside all bodies, (n,C).
 
-    bodies: list of Body; lights: list of (position (3,), intensity (C,)); opaque: list of Mesh,
+    bodies: list of Body; lights: list of (point (3,), intensity (C,)); opaque: list of Mesh,
     which end paths and cast shadows.  Paths as in `camera_segments`."""
     legs, total = camera_segments(bodies, o, d, internal_bounces, opaque), np.zeros((len(o), 1))
     for k, body in enumerate(bodies):
         mine = Segments(*(x[legs.body == k] for x in legs))
         others = [b.mesh for b in bodies if b is not body] + list(opaque)
-        for position, intensity in lights:
-            value = mine.weight * segment_radiance(
-                body.mesh,
-                body.eta,
-                body.sigma_s,
-                body.sigma_t,
-                body.g,
-                position,
-                intensity,
-                mine.o,
-                mine.d,
-                mine.t_max,
-                subdivisions,
-                others,
-            )
+        for light in lights:
+            value = mine.weight * segment_radiance(body, light, mine, subdivisions, others)
             total = total + np.stack([np.bincount(mine.ray, v, len(o)) for v in value.T], 1)
     return total

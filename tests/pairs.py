@@ -152,14 +152,14 @@ def contributing(mesh, eta, light, o, d, t_max):
         positive = (g > 0)[..., micro]
         ray, tri, cell = np.nonzero(positive.any(-1) & ~positive.all(-1))
         corners = g[ray[:, None], tri[:, None], micro[cell]]
-        value, uv = _brings(take(patches, lit[tri]), grid[micro[cell]], corners, light, eta, o[ray + first],
-                            d[ray + first], t_max[ray + first])  # fmt: skip
+        rays = o[ray + first], d[ray + first], t_max[ray + first]
+        value, uv = _brings(take(patches, lit[tri]), grid[micro[cell]], corners, light, eta, rays)
         some = value > 0
         found.append([x[some] for x in (ray + first, lit[tri], value, uv)])
     return [np.concatenate(x) for x in zip(*found)]
 
 
-def _brings(patch, uv, g, light, eta, o, d, t_max):
+def _brings(patch, uv, g, light, eta, rays):
     """What small triangles uv (n,3,2) with g (n,3) at their corners bring, and a point that it comes from."""
     i, odd = np.arange(len(g)), np.argmax((g > 0) == ((g > 0).sum(1) == 1)[:, None], axis=1)
     A, g_A, ends, share = uv[i, odd], g[i, odd], [], 1
@@ -171,14 +171,14 @@ def _brings(patch, uv, g, light, eta, o, d, t_max):
     total, place = np.zeros(len(g)), A
     for tau in CHORD_POINTS:
         point = ends[0] + tau * (ends[1] - ends[0])
-        value = _value(patch, point, light, eta, o, d, t_max) * share * side**2 / np.abs(g_A) / len(CHORD_POINTS)
+        value = _value(patch, point, light, eta, rays) * share * side**2 / np.abs(g_A) / len(CHORD_POINTS)
         total, place = total + value, np.where(value[:, None] > 0, point, place)
     return total, place
 
 
-def _value(patch, point, light, eta, o, d, t_max):
+def _value(patch, point, light, eta, rays):
     """The integrand at points (u, v), attenuation included; 0 where no light comes from there to the segment."""
-    x = oracle.light_ray(patch, point, light, eta)
+    x, (o, d, t_max) = oracle.light_ray(patch, point, light, eta), rays
     t, s, scale = oracle.meeting(x, o, d)
     inside = -dot(x.omega, patch.ng)
     with np.errstate(all="ignore"):  # where a value is not finite there is no light, see below
@@ -189,14 +189,15 @@ def _value(patch, point, light, eta, o, d, t_max):
     return np.where(good & np.isfinite(value), value, 0)[:, 0]
 
 
-def real(patch, uv, light, eta, o, d, t_max):
+def real(patch, uv, light, eta, rays):
     """Whether there is light at the roots of g nearest to points that the grid found; near the critical angle g is far
     from linear even on it."""
+    o, d, _ = rays
     for _ in range(30):
         g, gradient = oracle.beam_gap(patch, uv, light, eta, o, d)
         step = g[:, None] * gradient / np.maximum(dot(gradient, gradient), 1e-300)
         uv = uv - step * np.minimum(1, 0.02 / np.maximum(norm(step), 1e-300))
-    return _value(patch, uv, light, eta, o, d, t_max) > 0
+    return _value(patch, uv, light, eta, rays) > 0
 
 
 # ---- The package ----------------------------------------------------------------------------
@@ -262,10 +263,11 @@ def one_body(mesh, eta, light, folder, **options):
     return Culling(mi.load_dict({"type": "scene", "body": shape, "light": build.point_light(light)}), **options)
 
 
-def lost_and_looked_at(mesh, eta, light, culling, o, d, t_max):
+def lost_and_looked_at(mesh, eta, light, culling, rays):
     """Share of the light from pairs that the culling drops, and candidates per contributing pair.
 
     Dropped on purpose is only what the light does not reach: a triangle in the shadow of others."""
+    o, d, t_max = rays
     segment, triangle, looked_at = culling.candidates(o, d, t_max)
     ray, tri, value, uv = contributing(mesh, eta, light, o, d, t_max)
     pairs = len(mesh.faces) * ray + tri
@@ -273,6 +275,6 @@ def lost_and_looked_at(mesh, eta, light, culling, o, d, t_max):
     patch, ray, uv = take(make_patches(mesh, eta), tri[lost]), ray[lost], uv[lost]
     point = oracle.light_ray(patch, uv, light, eta).point
     seen = BoxTree([mesh]).clear(point, np.broadcast_to(light, point.shape), tri[lost])
-    seen &= real(patch, uv, light, eta, o[ray], d[ray], t_max[ray])
+    seen &= real(patch, uv, light, eta, (o[ray], d[ray], t_max[ray]))
     assume(len(pairs) > 0)
     return value[lost][seen].sum() / value.sum(), looked_at / len(np.unique(pairs))

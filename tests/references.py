@@ -1,12 +1,12 @@
-"""What tests compare with and takes long to compute, kept in ``references/``, one file each: statistics of many renders by
-``volpath``, and radiance by the float64 oracle and by quadrature.
+"""What tests compare with and takes long to compute, kept in ``references/``, one file each.
 
-``make references`` computes those that are missing or whose scene has changed; ``make test-all`` computes each anew and
-compares (renders with other seeds). So ``make test`` has time for references of many rays and of little noise.
+These are statistics of many renders by ``volpath``, and radiance by the float64 oracle and by quadrature.
+``make references`` computes those that are missing or whose scene has changed. ``make test-all`` computes each anew
+and compares (renders with other seeds). So ``make test`` has time for references of many rays and of little noise.
 
-An array must follow from its scene in float64 alone: there rounding, which differs between processors, moves radiance by
-1e-12 of the largest. Of a sensor's rays, float32 from Dr.Jit's compiled code, an ulp moves that next to caustics by 4e-4. So
-such rays are kept as an array of their own, from which the radiance is computed.
+An array must follow from its scene in float64 alone. Rounding differs between processors, and moves radiance in
+float64 by 1e-12 of the largest. A sensor's rays are float32 from Dr.Jit's compiled code: an ulp of theirs moves
+radiance next to caustics by 4e-4. So such rays are kept as an array of their own, from which radiance is computed.
 """
 
 import hashlib
@@ -28,8 +28,9 @@ ANEW = False
 
 
 def of(name, scene, render, size):
-    """``Statistics`` of the renders that ``render()`` makes of a ``scene`` (whatever describes it: see ``fingerprint``), with
-    blocks of size x size pixels; as they are kept under a ``name``."""
+    """``Statistics`` of the renders that ``render()`` makes of a ``scene``, as they are kept under a ``name``.
+
+    ``scene`` is whatever describes it: see ``fingerprint``. Blocks have size x size pixels."""
     return Statistics(**_kept(name, scene, lambda: asdict(Statistics.of(render(), size))))
 
 
@@ -56,7 +57,9 @@ def _kept(name, scene, compute):
 
 
 def fingerprint(scene):
-    """A hash of nested dictionaries of numbers, texts, arrays, transforms and bitmaps, that rounding errors don't change."""
+    """A hash of nested dictionaries of numbers, texts, arrays, transforms and bitmaps.
+
+    Rounding errors don't change it."""
     return hashlib.sha256(json.dumps(_plain(scene)).encode()).hexdigest()
 
 

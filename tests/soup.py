@@ -14,6 +14,7 @@ from mitsuba_refscatter.culling import beam
 from mitsuba_refscatter.culling.pairs import Pairs, Taken
 from mitsuba_refscatter.estimators import point, wavefront
 from mitsuba_refscatter.estimators.accumulator import Sums
+from mitsuba_refscatter.estimators.pair_data import PairData
 from mitsuba_refscatter.geometry import triangle
 from mitsuba_refscatter.light.illumination import Illumination
 from mitsuba_refscatter.optics import LocalLight
@@ -31,7 +32,8 @@ def random_cases(rng, n, eta):
     size = 10 ** rng.uniform(-2, 0, (n, 1))
     e2 = size * (np.cross(direction, e1) + rng.uniform(-0.5, 0.5, (n, 1)) * e1)
     e1 = size * e1
-    # Normals of a sphere with this curvature, and a little noise on them; where nothing is refracted those of the facet.
+    # Normals of a sphere with this curvature, and a little noise on them; where nothing is refracted those of the
+    # facet.
     bend = rng.uniform(-0.8, 1.5, (n, 1)) * (rng.random((n, 1)) < 0.9) * (eta != 1)
     noise = bend * size * 0.2
     corners = [unit(direction + bend * e + noise * rng.normal(size=(n, 3))) for e in (0 * e1, e1, e2)]
@@ -86,10 +88,9 @@ class Roots(point.Point):
         self.found, self.statuses, self.evaluations = [], np.zeros(len(newton.Status), int), np.zeros(64, int)
 
     def accumulate(self, sums, pairs, segments, culling, illumination, accuracy):
-        illumination = illumination.at(pairs.segment)
-        taken = culling.take(pairs, illumination)
-        solution, _, valid = point.roots(taken, segments.gather(pairs.segment), illumination)
-        u, v = (taken.piece.h * x + x0 for x, x0 in zip(solution.x, (taken.piece.u0, taken.piece.v0)))
+        pair = PairData.of(pairs, segments, culling, illumination)
+        solution, _, valid = point.roots(pair)
+        u, v = (pair.piece.h * x + x0 for x, x0 in zip(solution.x, (pair.piece.u0, pair.piece.v0)))
         dr.eval(u, v, valid, solution.status, solution.iterations)
         kept = np.array(valid)
         columns = (pairs.segment, culling.triangle_of(pairs), u, v)
@@ -153,7 +154,8 @@ LONGEST = 0.1
 
 
 def every_root(case, eta, starts):
-    """Case (m,) and (u, v) (m,2) of all roots inside the triangles that Newton's method finds from starts^2 points each."""
+    """Case (m,) and (u, v) (m,2) of all roots inside the triangles that Newton's method finds from starts^2 points
+    each."""
     grid = triangle_grid(starts)[0]
     middles = grid[triangle_grid(starts)[1]].mean(1)
     index = np.repeat(np.arange(len(case.V)), len(middles))

@@ -59,9 +59,7 @@ def test_no_refraction(rgb, tmp_path, g):
 
     def straight():
         legs = oracle.camera_segments([body], o, d, 4)
-        value = closed_forms.straight_line_radiance(
-            mesh, body.sigma_s, body.sigma_t, body.g, np.array(LIGHT), np.full(3, 10.0), legs.o, legs.d, legs.t_max
-        )
+        value = closed_forms.straight_line_radiance(mesh, body, (np.array(LIGHT), np.full(3, 10.0)), legs)
         total = np.zeros(ours.shape)
         np.add.at(total, legs.ray, legs.weight * value)
         return total
@@ -91,7 +89,8 @@ def water(size=20.0, depth=10.0, cells=48):
 
 
 def against_the_plane(mesh, eta, light, tolerance, folder, steps=32):
-    """500 rays from above into a body whose top is the plane z = 0, all refracted in: the package's radiance and the formula's."""
+    """500 rays from above into a body whose top is the plane z = 0, all refracted in: the package's radiance and
+    the formula's."""
     shape = build.mesh_shape(mesh, folder / "m.ply", eta=eta)
     scene = mi.load_dict({"type": "scene", "body": shape, "light": build.point_light(light)})
     rng = np.random.default_rng(3)
@@ -102,12 +101,13 @@ def against_the_plane(mesh, eta, light, tolerance, folder, steps=32):
     body = body_of(mesh, eta)
     legs = oracle.camera_segments([body], o, d, 0)
     assert (legs.ray == np.arange(500)).all()
-    places = np.array(light), np.full(3, 10.0), legs.o, legs.d, legs.t_max, steps
-    return ours, legs.weight * closed_forms.plane_radiance(eta, body.sigma_s, body.sigma_t, 0.0, *places)
+    lamp = np.array(light), np.full(3, 10.0)
+    return ours, legs.weight * closed_forms.plane_radiance(eta, body, lamp, legs, steps)
 
 
 NEXT_TO_THE_CAMERA = (1.008, -3.002, 2.5)
-"""A light 2/1000 of its distance away from the camera: all curves turn around the camera rays' own way in, g far from linear."""
+"""A light 2/1000 of its distance away from the camera: all curves turn around the camera rays' own way in, g far
+from linear."""
 
 
 @pytest.mark.parametrize(
@@ -136,19 +136,8 @@ def test_sphere_converges(rgb, tmp_path):
     body = body_of(None)
 
     def exact():
-        return weight * closed_forms.sphere_radiance(
-            1.0,
-            1.5,
-            body.sigma_s,
-            body.sigma_t,
-            0.0,
-            np.array(LIGHT),
-            np.full(3, 10.0),
-            inner_o,
-            inner_d,
-            t_max,
-            scan=2001,
-        )
+        light, rays = (np.array(LIGHT), np.full(3, 10.0)), oracle.CameraRays(inner_o, inner_d, t_max)
+        return weight * closed_forms.sphere_radiance(1.0, 1.5, body, light, rays, scan=2001)
 
     truth = references.array("sphere", [body.sigma_s, body.sigma_t, LIGHT, o, d], exact)
     errors = []

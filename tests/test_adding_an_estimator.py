@@ -34,8 +34,12 @@ class FewPoints(Point):
 
 @pytest.fixture
 def scene(tmp_path):
-    sensor = {"type": "perspective", "fov": 30, "to_world": mi.ScalarTransform4f().look_at([0, 1, 5], [0, 0, 0], [0, 1, 0]),
-              "film": {"type": "hdrfilm", "width": 16, "height": 16, "pixel_format": "rgb", "component_format": "float32"}}  # fmt: skip
+    sensor = {
+        "type": "perspective",
+        "fov": 30,
+        "to_world": mi.ScalarTransform4f().look_at([0, 1, 5], [0, 0, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 16, "height": 16, "pixel_format": "rgb", "component_format": "float32"},
+    }
     body = mesh_shape(bumpy_sphere(2), tmp_path / "m.ply", eta=1.4)
     return mi.load_dict({"type": "scene", "sensor": sensor, "body": body, "light": point_light((-2.6, 2.4, -0.9))})
 

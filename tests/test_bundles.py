@@ -114,8 +114,8 @@ def test_a_changed_mesh_is_read_anew(rgb, tmp_path):
 
 @pytest.mark.parametrize("count", [200, 800])
 def test_memory_follows_the_buffer_not_the_work(rgb, tmp_path, monkeypatch, count):
-    """The half GiB that is said of the full buffer, in proportion, and little per camera segment: 800 have 25 times as many pairs
-    as the small buffer has places."""
+    """The half GiB that is said of the full buffer, in proportion, and little per camera segment: 800 have 25 times
+    as many pairs as the small buffer has places."""
     mesh, most, places = bumpy_sphere(3, 0.12, 6.0), (1 << 29) / tolerances.CHUNK_PAIRS, 1 << 11
     culling = one_body(mesh, 1.5, LIGHT, tmp_path)
     segments = culling.segments(*chords(mesh, np.random.default_rng(3), count))

@@ -19,8 +19,8 @@ from mitsuba_refscatter.transport.camera_refusals import refuse_overlaps
 
 CAMERA = (0.0, 1.1, 5.2)
 SAME = 1e-2
-"""Largest difference of origin plus direction of two segments that count as the same: a curved boundary doubles an error
-several times on the way, so the float32 of Mitsuba's hits is far below it, and another branch far above."""
+"""Largest difference of origin plus direction of two segments that count as the same: a curved boundary doubles an
+error several times on the way, so the float32 of Mitsuba's hits is far below it, and another branch far above."""
 
 
 def bodies(name):
@@ -93,8 +93,11 @@ def test_segments_against_oracle(rgb, tmp_path, name, internal_bounces, surfaces
         assert mine.weight.sum() - mine.weight[paired].sum() < 1e-3 * mine.weight.sum()
     weight, true_weight = ours.weight[i], theirs.weight[j]
     length, true_length = ours.t_max[i], theirs.t_max[j]
-    print(f"{len(theirs.ray)} segments, unlike: {len(theirs.ray) - len(j)}, {len(ours.ray) - len(i)}; "
-          f"largest errors: weight {np.abs(weight - true_weight).max():.1e}, length {np.abs(length - true_length).max():.1e}")  # fmt: skip
+    print(
+        f"{len(theirs.ray)} segments, unlike: {len(theirs.ray) - len(j)}, {len(ours.ray) - len(i)}; "
+        f"largest errors: weight {np.abs(weight - true_weight).max():.1e}, length "
+        f"{np.abs(length - true_length).max():.1e}"
+    )
     # Errors of 2e-7 grow with every reflection in a curved boundary, most of all near total reflection.
     assert np.abs(weight - true_weight).sum() < 1e-4 * true_weight.sum()
     assert np.abs(weight - true_weight).max() < 1e-2
@@ -251,12 +254,16 @@ def test_a_distant_object_does_not_matter(rgb, tmp_path):
 
 @pytest.mark.parametrize("moved", [0.0, 300.0])
 def test_mirror_through_the_origin(rgb, moved):
-    """Reflected rays start off a mirror by a share of its own coordinates, not of the hit's, which may be zero: the body
-    that they see is the one that rays see which start in the mirror's place."""
+    """Reflected rays start off a mirror by a share of its own coordinates, not of the hit's, which may be zero: the
+    body that they see is the one that rays see which start in the mirror's place."""
     turn = mi.ScalarTransform4f().rotate([1, 0.4, 0.2], 33)
     x, y, z = np.array(turn.matrix)[:3, :3].T
-    cube = {"type": "cube", "bsdf": {"type": "dielectric", "int_ior": 1.3, "ext_ior": 1.0}, "interior": {"type": "homogeneous"},
-            "to_world": turn.translate([0, 0, 7])}  # fmt: skip
+    cube = {
+        "type": "cube",
+        "bsdf": {"type": "dielectric", "int_ior": 1.3, "ext_ior": 1.0},
+        "interior": {"type": "homogeneous"},
+        "to_world": turn.translate([0, 0, 7]),
+    }
     mirror = {"type": "rectangle", "bsdf": {"type": "conductor", "material": "none"},
               "to_world": turn.translate([moved, 0, 0]).scale([5 + moved, 5, 1])}  # fmt: skip
     parts = {"type": "scene", "light": build.point_light(2 * x + 2 * y + 9 * z), "body": cube}
@@ -273,8 +280,8 @@ def test_mirror_through_the_origin(rgb, moved):
 
 @pytest.mark.parametrize("nested", [True, False])
 def test_a_missed_crossing_between_nested_bodies_is_no_overlap(rgb, nested):
-    """A leg in a body's region that meets the boundary of another from its inside: where one holds the other whole it slipped
-    through an edge; where they cut each other it is refused."""
+    """A leg in a body's region that meets the boundary of another from its inside: where one holds the other whole
+    it slipped through an edge; where they cut each other it is refused."""
     bars = ([1, 1, 1], [0.3, 0.3, 0.3]) if nested else ([1, 0.3, 0.3], [0.3, 1, 0.3])  # no corner is in the other bar
     parts = {"type": "scene", "medium": {"type": "homogeneous", "id": "amber"}, "light": build.point_light((0, 50, 0))}
     for k, scale in enumerate(bars):
@@ -284,7 +291,16 @@ def test_a_missed_crossing_between_nested_bodies_is_no_overlap(rgb, nested):
                             "to_world": mi.ScalarTransform4f().scale(scale)}  # fmt: skip
     found = read(mi.load_dict(parts, optimize=False), 0.01, Cache())
     outer, inner = sorted(found.bodies, key=lambda body: body.eta)
-    leg = camera_paths.Legs(mi.Point3f(0, 0, 0.1), mi.Vector3f(1, 0, 0), mi.Spectrum(1), mi.UInt32(0), mi.UInt32(inner.inside), 0, 0, mi.Vector3f(0))  # fmt: skip
+    leg = camera_paths.Legs(
+        mi.Point3f(0, 0, 0.1),
+        mi.Vector3f(1, 0, 0),
+        mi.Spectrum(1),
+        mi.UInt32(0),
+        mi.UInt32(inner.inside),
+        0,
+        0,
+        mi.Vector3f(0),
+    )
     hit = SimpleNamespace(pi=SimpleNamespace(t=mi.Float(0.02)), target=mi.UInt32(outer.index))
     arguments = found, leg, hit, mi.Bool(True)
     if nested:

@@ -1,4 +1,5 @@
-"""A camera on a side of a boundary whose medium its sensor does not name is refused, from a share of its first hits on."""
+"""A camera on a side of a boundary whose medium its sensor does not name is refused, from a share of its first hits
+on."""
 
 import mitsuba as mi
 import numpy as np
@@ -112,7 +113,8 @@ def test_above_water_with_its_medium(make):
 
 
 def test_panes_from_behind(make):
-    """A pane without media: nothing is named and nothing refused where no medium is around; where one is, it must name it."""
+    """A pane without media: nothing is named and nothing refused where no medium is around; where one is, it must
+    name it."""
     pane, ball = sheet(2, bsdf={"type": "null"}), make.ball(moved(BALL, 0, 5))
     o, d = np.tile([0, 1.0, 0], (9, 1)), np.tile([0.06, 0.998, 0], (9, 1))
     seen, alone = (follow(sea(make, water=None, ball=ball, **x), o, d) for x in ({"pane": pane}, {}))
@@ -155,7 +157,8 @@ def test_rays_that_start_inside_a_closed_body(make):
 
 @pytest.mark.parametrize("inside", [True, False])
 def test_a_ray_that_slips_into_a_closed_body(make, inside):
-    """Found at a boundary's inside although it starts outside, even when traced again: it alone is no reason to refuse."""
+    """Found at a boundary's inside although it starts outside, even when traced again: it alone is no reason to
+    refuse."""
     found = read(make.scene(), 0.01, Cache())
     leg = camera_paths.Legs(mi.Point3f(0, 0, 0.5 if inside else 3), mi.Vector3f(0, 0, -1), mi.Spectrum(1), mi.UInt32(0),
                       mi.UInt32(NONE), mi.UInt32(0), mi.UInt32(0), mi.Vector3f(0))  # fmt: skip

@@ -166,7 +166,8 @@ def test_another_integrator_is_replaced_and_ours_is_kept(integrator, replaced, t
 
 
 @needs_variant
-@pytest.mark.parametrize("number, after, code", [(signal.SIGINT, 8.0, 130), (signal.SIGTERM, 8.0, 143), (signal.SIGTERM, 0.3, 143)],
+@pytest.mark.parametrize("number, after, code",
+                         [(signal.SIGINT, 8.0, 130), (signal.SIGTERM, 8.0, 143), (signal.SIGTERM, 0.3, 143)],
                          ids=["Ctrl-C", "SIGTERM", "SIGTERM early"])  # fmt: skip
 def test_interrupting_keeps_the_earlier_picture(tmp_path, number, after, code):
     (tmp_path / "out.exr").write_bytes(b"earlier")

@@ -104,7 +104,8 @@ def test_facets_and_small_meshes_stay(rgb, tmp_path):
 
 
 def test_nothing_is_estimated_where_exact(rgb, tmp_path, monkeypatch):
-    """At tolerance 0 no coarser mesh is made, and neither what is lit nor how far light gets is judged by samples; at the default all are."""
+    """At tolerance 0 no coarser mesh is made, and neither what is lit nor how far light gets is judged by samples;
+    at the default all are."""
     done = set()
 
     def noting(owner, name):

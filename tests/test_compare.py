@@ -14,7 +14,7 @@ from comparison import check, compare
 from test_cli import SPHERE, assert_one_sentence, needs_variant, refscatter
 
 from mitsuba_refscatter import example_scenes, platform
-from mitsuba_refscatter.benchmarks import duel, methods, race, suite
+from mitsuba_refscatter.benchmarks import duel, methods, race, suite, timing
 from mitsuba_refscatter.integrators.hooks import Hooks
 
 QUICK = ("--seconds", 0.1, "-D", "res=16", "-D", "spp=1")
@@ -29,8 +29,8 @@ def test_compare_writes_a_report(tmp_path, names):
     data = json.loads((tmp_path / "results.json").read_text())
     assert data["schema"] == "refscatter-results-1" and [row["method"] for row in data["rows"]] == names
     for row in data["rows"]:
-        for key in ("wall_seconds", "cpu_seconds", "samples", "relmse", "mean_relative_error", "p99_relative_error", "bias",
-                    "flip", "triangles", "warm_up_seconds"):  # fmt: skip
+        for key in ("wall_seconds", "cpu_seconds", "samples", "relmse", "mean_relative_error", "p99_relative_error",
+                    "bias", "flip", "triangles", "warm_up_seconds"):  # fmt: skip
             assert np.isfinite(row[key]), (row["method"], key)
         assert row["settings"]["resolution"] == [16, 16] and len(row["curve"]) >= 1
         image = np.array(mi.Bitmap(str(tmp_path / f"{row['method']}.exr")))
@@ -58,7 +58,7 @@ def subject():
 @pytest.fixture(scope="module")
 def truth(subject):
     """The image of 64 samples per pixel at the tolerance of references."""
-    settings = {**methods.METHODS["refscatter"], **race.Setup("").common, "tolerance": race.REFERENCE_TOLERANCE}
+    settings = methods.single_scattering("refscatter", 0, race.REFERENCE_TOLERANCE)
     return np.array(mi.load_dict(settings).render(subject.load(), seed=race.REFERENCE_SEED, spp=64), dtype=float)
 
 
@@ -66,7 +66,7 @@ def truth(subject):
 def by_samples(monkeypatch):
     """Races on whose clock each sample per pixel takes a second, however busy the machine is."""
 
-    class Clock(race._Clock):
+    class Stopwatch(timing.Stopwatch):
         samples = 0
 
         def go_on(self):
@@ -80,8 +80,9 @@ def by_samples(monkeypatch):
             self.clock.samples = samples
             return super().__call__(samples, image)
 
-    for name, value in (("_Clock", Clock), ("_Follower", Follower), ("_timed", lambda *work: 1.0)):
-        monkeypatch.setattr(race, name, value)
+    monkeypatch.setattr(race, "_Follower", Follower)
+    monkeypatch.setattr(timing, "Stopwatch", Stopwatch)
+    monkeypatch.setattr(timing, "clock", lambda work: (1.0, 1.0))
 
 
 @needs_variant
@@ -97,8 +98,10 @@ def test_with_as_many_samples_ours_is_nearest(rgb, subject, truth, by_samples):
 
 
 @needs_variant
-@pytest.mark.parametrize(("names", "ends"), [(["refscatter", "straight_line"], [4, race.LONGEST * 4]),
-                                             (["straight_line", "refscatter"], [4, 4])])  # fmt: skip
+@pytest.mark.parametrize(
+    ("names", "ends"),
+    [(["refscatter", "straight_line"], [4, race.LONGEST * 4]), (["straight_line", "refscatter"], [4, 4])],
+)
 def test_equal_quality_goes_on_longer(rgb, subject, truth, by_samples, names, ends):
     """Up to ``LONGEST`` where the quality of the first method is not reached: not by the straight line."""
     rows = duel.compare(subject, names, race.Setup(rgb, seconds=4.0, equal_quality=True), truth).rows
@@ -108,11 +111,15 @@ def test_equal_quality_goes_on_longer(rgb, subject, truth, by_samples, names, en
 
 @needs_variant
 def test_compare_with_a_given_reference_and_equal_quality(tmp_path, truth):
-    """The reference is the image given, here one that is twice too bright: the bias says so, with one sample as with many. Both
-    hold however few samples there is time for: a straight line is farther from that image than one sample of ours."""
-    mi.Bitmap((2 * truth).astype(np.float32)).write(str(tmp_path / "twice.exr"))
-    done = refscatter("compare", SPHERE, *QUICK, "--methods", "refscatter,straight_line", "--reference", tmp_path / "twice.exr",
-                      "--equal-quality", "-o", tmp_path / "out")  # fmt: skip
+    """The reference is the image given, here one that is twice too bright: the bias says so, with one sample as
+    with many.
+
+    Both hold however few samples there is time for: a straight line is farther from that image than one sample of ours.
+    """
+    twice = tmp_path / "twice.exr"
+    mi.Bitmap((2 * truth).astype(np.float32)).write(str(twice))
+    options = "--methods", "refscatter,straight_line", "--reference", twice, "--equal-quality", "-o", tmp_path / "out"
+    done = refscatter("compare", SPHERE, *QUICK, *options)
     assert done.returncode == 0, done.stderr
     np.testing.assert_array_equal(*(mi.Bitmap(str(tmp_path / x)) for x in ("twice.exr", "out/reference.exr")))
     first, second = json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
@@ -140,8 +147,11 @@ def test_compare_says_what_is_wrong(tmp_path):
 
 
 def test_volpath_finds_the_same_light_as_ours(rgb, monkeypatch):
-    """As comparisons set it up: restricted to the same paths, the same scene without scattering subtracted, a sphere in place of
-    the point light; here a large one, which it finds, and against ours with that sphere."""
+    """As comparisons set it up: restricted to the same paths, what does not scatter subtracted, a sphere as the
+    point light.
+
+    Here that is a large one, which it finds, and ours is lit by that sphere.
+    """
     radius, intensity = 0.7, np.array([1, 2, 3])
     monkeypatch.setattr(methods, "LIGHT_RADIUS", radius)
     case = Case(lambda: {"light": point_light((1.6, 2.2, 1.3), intensity.tolist()), "body": {
@@ -167,9 +177,11 @@ def test_passes_grow_whatever_the_sampler(rgb, sampler):
         }
     )
     scene = parts.scene({"type": "path"})
-    sensor = mi.load_dict({
-        "type": "perspective", "fov": 34, "to_world": mi.ScalarTransform4f().look_at([0.3, 0.5, 5], [0, 0, 0], [0, 1, 0]),
-        "sampler": {"type": sampler}, "film": {"type": "hdrfilm", "width": 8, "height": 8, "pixel_format": "rgb"}})  # fmt: skip
+    view = mi.ScalarTransform4f().look_at([0.3, 0.5, 5], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "pixel_format": "rgb"}
+    sensor = mi.load_dict(
+        {"type": "perspective", "fov": 34, "to_world": view, "sampler": {"type": sampler}, "film": film}
+    )
     integrator, sizes, seen = mi.load_dict({"type": "refscatter", "surfaces": False}), [1, 2, 5, 8, 0], []
 
     def watch(samples, image):
@@ -204,8 +216,10 @@ def test_the_suite_can_be_made(rgb, tmp_path):
 @pytest.mark.slow
 @needs_variant
 def test_gallery(tmp_path):
-    """Three strips: four tiles, two rows of four, one tile per method, all of them with light but that of ``volpath``, which may find
-    nothing so soon."""
+    """Three strips: four tiles, two rows of four, one tile per method.
+
+    All of them show light, but that of ``volpath``, which may find nothing so soon.
+    """
     done = refscatter("gallery", "--resolution", 12, "--samples", 1, "--seconds", 0.1, "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     for name, rows, columns in (("scenes", 1, 4), ("densities", 2, 4), ("methods", 1, len(methods.METHODS))):

@@ -42,7 +42,8 @@ def connection(patch, light, eta, V, d, uv):
 
 
 def half_vector(c, eta):
-    """The published residual, f = sign(eta - 1) q / |q| + n (Walter et al. 2009; Holzschuch 2015), of a ``Connection``."""
+    """The published residual, f = sign(eta - 1) q / |q| + n (Walter et al. 2009; Holzschuch 2015), of a
+    ``Connection``."""
     q = numbers(c.q)
     return (1 if eta > 1 else -1) * q / norm(q) + numbers(c.n)
 
@@ -73,7 +74,8 @@ def test_jacobian(rng, form, smooth, eta):
 
 
 def refracted_paths(rng, eta, smooth=True):
-    """Paths that Snell's law makes: patch, light, V, (u, v), the oracle's light ray, s; some on the other side (s < 0)."""
+    """Paths that Snell's law makes: patch, light, V, (u, v), the oracle's light ray, s; some on the other side (s <
+    0)."""
     patch = random_patches(rng, 4 * N, smooth)
     light = patch.p + 3 * patch.ng + rng.normal(size=(4 * N, 3))
     uv = rng.uniform(0, 0.5, (4 * N, 2))

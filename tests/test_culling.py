@@ -38,7 +38,7 @@ def no_pair_is_lost(examples, folder, culling):
     def check(seed):
         mesh, eta, light, tolerance, segments = random_case(seed)
         lost, ratio = lost_and_looked_at(
-            mesh, eta, light, one_body(mesh, eta, light, folder, tolerance=tolerance, culling=culling), *segments
+            mesh, eta, light, one_body(mesh, eta, light, folder, tolerance=tolerance, culling=culling), segments
         )
         looked_at.append(ratio)
         assert lost < LOST
@@ -71,7 +71,7 @@ def test_beams_into_a_corner(rgb, tmp_path):
     o = build.rounded(np.stack([np.ones(n), np.full(n, 0.8), np.linspace(-0.9, 0.9, n)], axis=1))
     d = build.rounded(np.tile([-1, 1, 0], (n, 1)) / 2**0.5)
     culling = one_body(mesh, eta, light, tmp_path)
-    lost, _ = lost_and_looked_at(mesh, eta, light, culling, o, d, build.rounded(np.full(n, 0.2 * 2**0.5)))
+    lost, _ = lost_and_looked_at(mesh, eta, light, culling, (o, d, build.rounded(np.full(n, 0.2 * 2**0.5))))
     assert lost < LOST
 
 
@@ -81,7 +81,7 @@ def test_little_is_looked_at_in_vain(rgb):
     mesh, light = read_mesh(scene), np.array(mi.traverse(scene.emitters()[0])["position"]).ravel().astype(float)
     rays = build.rays_at((0.0, 1.1, 5.2), 0.95, 120, seed=5)
     legs = oracle.camera_segments([oracle.Body(mesh, 1.5, np.ones(1), np.ones(1))], *rays, 1)
-    lost, ratio = lost_and_looked_at(mesh, 1.5, light, Culling(scene), legs.o, legs.d, legs.t_max)
+    lost, ratio = lost_and_looked_at(mesh, 1.5, light, Culling(scene), (legs.o, legs.d, legs.t_max))
     integrator = mi.load_dict({"type": "refscatter", "surfaces": False, "aovs": "candidates, contributions"})
     counts = np.array(integrator.render(scene, spp=1))[..., -2:].sum((0, 1))
     print(f"candidates per contributing pair: {ratio:.2f}; in the image, shadows out: {counts[0] / counts[1]:.2f}")

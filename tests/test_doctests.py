@@ -1,4 +1,5 @@
-"""Docstrings: examples in them run, everything public has one, and tables of properties say what ``options.py`` says."""
+"""Docstrings: examples in them run, everything public has one, and tables of properties say what ``options.py``
+says."""
 
 import dataclasses
 import doctest
@@ -62,7 +63,8 @@ def properties(plugin):
 
 @pytest.mark.parametrize("plugin", PLUGINS)
 def test_tables_of_plugins_list_the_options(rgb, plugin):
-    """All of them, with type, default and choices; those that stand in one row are as of ``refscatter``, whose have each its own."""
+    """All of them, with type, default and choices; those that stand in one row are as of ``refscatter``, whose have
+    each its own."""
     rows, fields = properties(plugin), {field.name: field for field in dataclasses.fields(PLUGINS[plugin])}
     assert rows.keys() == {*fields, NESTED}
     for name, (kind, meaning) in rows.items():
@@ -77,12 +79,13 @@ def test_tables_of_plugins_list_the_options(rgb, plugin):
 
 
 def test_the_readme_lists_the_options():
-    """Its two tables of properties: names, defaults, and choices."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    """Its table of properties, and that of the integrators to compare with: names, defaults, and choices."""
+    places = (ROOT / "README.md", ROOT / "mitsuba_refscatter" / "benchmarks" / "README.md")
+    text, of_others = (path.read_text(encoding="utf-8") for path in places)
     first = table(text, "| property | default | meaning |")
     fields = {field.name: field for field in dataclasses.fields(options.Options)}
     assert {name for name, *_ in first} == {*fields, "nested integrator"}
-    second = table(text, "| property | of | default | meaning |")
+    second = table(of_others, "| property | of | default | meaning |")
     photons = {f.name: f for f in dataclasses.fields(options.PhotonOptions)}
     common = {f.name for f in dataclasses.fields(options.Common)}
     own = [row for row in second if row[1] != "both"]

@@ -1,7 +1,7 @@
 """Power that enters a body through its lit triangles = absorbed and scattered + leaving + reflected inside.
 
-The first of these is what the estimator finds, summed over a grid of parallel segments through the body; the others are of light
-rays on a grid over the triangles, with the oracle's optics.
+The first of these is what the estimator finds, summed over a grid of parallel segments through the body; the others are
+of light rays on a grid over the triangles, with the oracle's optics.
 """
 
 import build

@@ -27,8 +27,9 @@ LIGHT, CAMERA = (-2.6, 2.4, -0.9), (0.0, 1.1, 5.2)
 def test_estimators_converge_to_the_same_image(rgb, scene, most):
     """As their samples grow, interval and point come to within 1 % of the curve (relative L1 over the image).
 
-    Radiance per length grows like |t - t_fold|^(-1/2) next to a fold, so that the variance of point is infinite: one sample of
-    rounded_cube lies 2e-9 from a fold with seed 0, and brings 13 % of the image. Of three seeds the median counts there."""
+    Radiance per length grows like |t - t_fold|^(-1/2) next to a fold, so that the variance of point is infinite: one
+    sample of rounded_cube lies 2e-9 from a fold with seed 0, and brings 13 % of the image. Of three seeds the median
+    counts there."""
     error, seeds = {}, range(3 if (scene, most) == ("rounded_cube", 4096) else 1)
     for seed in seeds:
         for row in convergence.run(scene, most, variant=rgb, resolution=10, seed=seed):
@@ -94,8 +95,8 @@ def test_every_variant(variant, scene_at):
 
 
 LARGE = 300
-"""Operations of a kernel that takes long to compile. Those for one lane, or for the parts of the one curve that must be cut, are
-others, as are small ones now and then."""
+"""Operations of a kernel that takes long to compile. Those for one lane, or for the parts of the one curve that
+must be cut, are others, as are small ones now and then."""
 
 
 @pytest.mark.parametrize(("estimator", "culling"), COMBINATIONS)
@@ -179,10 +180,18 @@ def extreme(tmp_path, mesh, light, eta=1.5, density=1.0, intensity=10.0):
     shape = build.mesh_shape(mesh, tmp_path / "body.ply", eta=eta)
     shape["interior"]["scale"] = float(density)
     sensor = {
-        "type": "perspective", "fov": 35, "to_world": mi.ScalarTransform4f().look_at([0.7, 0.9, 4], [0, 0, 0], [0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": 12, "height": 12, "rfilter": {"type": "box"}, "component_format": "float32"},
+        "type": "perspective",
+        "fov": 35,
+        "to_world": mi.ScalarTransform4f().look_at([0.7, 0.9, 4], [0, 0, 0], [0, 1, 0]),
+        "film": {
+            "type": "hdrfilm",
+            "width": 12,
+            "height": 12,
+            "rfilter": {"type": "box"},
+            "component_format": "float32",
+        },
         "sampler": {"type": "independent", "sample_count": 1},
-    }  # fmt: skip
+    }
     light = build.point_light(light, (intensity,) * 3)
     return mi.load_dict({"type": "scene", "sensor": sensor, "body": shape, "light": light})
 

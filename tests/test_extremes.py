@@ -1,7 +1,9 @@
 """Extremes of refraction, density, size, place and mesh, each against the float64 oracle.
 
-Part of ``make test-all``; run with ``-s`` it prints the README's table.
+Part of ``make test-all``; run with ``-s`` it prints the table of tests/README.md.
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
@@ -19,7 +21,8 @@ CAMERA, TOLERANCE = (0.0, 1.1, 5.2), 1e-3
 WORST = 5e-2
 """Relative error that one ray in a hundred may have; over all rays, as L1, it is the tolerance."""
 OUTLINE = 0.1
-"""Relative difference of the truths on a ray's sides above which it passes an outline: on some of them it misses what is seen there."""
+"""Relative difference of the truths on a ray's sides above which it passes an outline: on some of them it misses
+what is seen there."""
 
 SHIFT = np.array([1.0, -2.0, 3.0])
 SIDES = icosphere(0).vertices
@@ -30,11 +33,12 @@ BOX = build.rounded_mesh(box([-1, -1, -1], [1, 1, 1]))
 
 @dataclass(frozen=True)
 class Case:
-    """Camera rays into a body. ``scale``, ``shift``: of all of it, with the density in proportion; the oracle sees it where it was, but
-    with places rounded to float32 where they are then. ``aside``: by how much its rays are turned to twelve sides, float32's rounding
-    several times over: through a vertex or an edge each side may meet another triangle, and of the twelve truths the nearest counts.
-    ``limit``: of L1, larger where float32's places are too far apart. ``span``: share of a segment that one of its chords sees at most: its exponentials are taken in the chords'
-    middles, so that it is short where much is absorbed."""
+    """Camera rays into a body. ``scale``, ``shift``: of all of it, with the density in proportion; the oracle sees
+    it where it was, but with places rounded to float32 where they are then. ``aside``: by how much its rays are
+    turned to twelve sides, float32's rounding several times over: through a vertex or an edge each side may meet
+    another triangle, and of the twelve truths the nearest counts. ``limit``: of L1, larger where float32's places
+    are too far apart. ``span``: share of a segment that one of its chords sees at most: its exponentials are taken
+    in the chords' middles, so that it is short where much is absorbed."""
 
     name: str
     mesh: Mesh = BUMPY
@@ -43,7 +47,7 @@ class Case:
     g: float = 0.0
     light: tuple = (-2.6, 2.4, -0.9)
     radius: float = 0.9
-    rays: object = field(default=None, repr=False)
+    rays: tuple | None = field(default=None, repr=False)
     bounces: int = 1
     scale: float = 1.0
     shift: float = 0.0
@@ -157,8 +161,8 @@ def test_against_the_oracle(rgb, tmp_path, monkeypatch, case):
 
 
 def judge_as_they_are(case, ours, sides):
-    """The same rays against the oracle's radiance along themselves, not turned, but for the few at outlines, which are counted.
-    ``sides``: radiance (sides, rays) along those that are turned."""
+    """The same rays against the oracle's radiance along themselves, not turned, but for the few at outlines, which
+    are counted. ``sides``: radiance (sides, rays) along those that are turned."""
     itself = replace(case, aside=0.0).truths()[0]
     inner = np.ptp(sides, axis=0) <= OUTLINE * sides.max(axis=0)
     print(f"| {case.name}, not turned | | {l1(ours, itself):.1e}, without {(~inner).sum()} of {len(inner)} at outlines "
@@ -181,8 +185,8 @@ def test_against_the_plane(rgb, tmp_path, name):
 
 
 def judge(name, error, bright, limit=TOLERANCE):
-    """Prints a row of the table: L1, and what 99 % of the rays' relative errors stay below. ``error`` and the radiance ``bright``,
-    (rays,), are summed over colours."""
+    """Prints a row of the table: L1, and what 99 % of the rays' relative errors stay below. ``error`` and the
+    radiance ``bright``, (rays,), are summed over colours."""
     total, worst = error.sum() / bright.sum(), np.percentile(error / np.maximum(bright, 0.05 * bright.mean()), 99)
     print(f"| {name} | {limit:g} | {total:.1e} | {worst:.1e} |")
     assert total < limit and worst < max(WORST, 2 * limit)

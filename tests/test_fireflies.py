@@ -1,7 +1,7 @@
 """A million random rays: the largest error of a single one, against the oracle.
 
-The oracle is too slow for all of them. It judges those in which the package's own tolerances and estimators differ most: an error
-that is in all of them alike would have to be in the sums of ``tests/test_extremes.py``, too.
+The oracle is too slow for all of them. It judges those in which the package's own tolerances and estimators differ
+most: an error that is in all of them alike would have to be in the sums of ``tests/test_extremes.py``, too.
 """
 
 from dataclasses import replace
@@ -19,13 +19,22 @@ LEAST = 0.05
 FIREFLY = 0.3
 """Error, relative to the radiance or the mean over all rays, whichever is larger, that no single ray may have."""
 UNKNOWN = 0.2
-"""Share of suspects, less than this, that the oracle may not know to 1 %: its own error falls slowly where a ray grazes a caustic, which
-is where suspects are. They are not in the table; fireflies none of them is either, by more than the oracle's doubt."""
+"""Share of suspects, less than this, that the oracle may not know to 1 %: its own error falls slowly where a ray
+grazes a caustic, which is where suspects are. They are not in the table; fireflies none of them is either, by more
+than the oracle's doubt."""
 
 NAMES = [
-    "eta 2.5", "eta 0.4", "density x size 8", "light 1e-2 from the surface", "light 1000 sizes away", "hg 0.99", "closed cylinder",
-    "needle triangles 1 : 10^6", "shading normals up to 70 degrees off", "eta 1.01",
-]  # fmt: skip
+    "eta 2.5",
+    "eta 0.4",
+    "density x size 8",
+    "light 1e-2 from the surface",
+    "light 1000 sizes away",
+    "hg 0.99",
+    "closed cylinder",
+    "needle triangles 1 : 10^6",
+    "shading normals up to 70 degrees off",
+    "eta 1.01",
+]
 LOOKS = {
     "default": {"tolerance": Options().tolerance},
     "0.001": {"tolerance": 1e-3},

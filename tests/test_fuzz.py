@@ -40,8 +40,11 @@ NUMBERS = [
     "1 2 3",
     "-0",
 ]
-WORDS = ["sphere", "dielectric", "homogeneous", "point", "area", "ply", "nothing", "", "conductor", "rgb", "refscatter", "path",
-         "thindielectric", "null", "constant", "isotropic", "hg", "independent", "hdrfilm", "perspective"]  # fmt: skip
+WORDS = [
+    "sphere", "dielectric", "homogeneous", "point", "area", "ply", "nothing", "", "conductor", "rgb",
+    "refscatter", "path", "thindielectric", "null", "constant", "isotropic", "hg", "independent", "hdrfilm",
+    "perspective",
+]  # fmt: skip
 
 
 def damaged_xml(text, rng):
@@ -112,7 +115,8 @@ def originals(folder):
     text = (ROOT / "scenes" / "sphere" / "scene.xml").read_text()
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
     text = re.sub(r'value="meshes/\w+\.ply"', 'value="ball.ply"', text)
-    header = "ply\nformat ascii 1.0\nelement vertex {}\n{}element face {}\nproperty list uchar int vertex_indices\nend_header\n"
+    header = "ply\nformat ascii 1.0\nelement vertex {}\n{}element face {}\n"
+    header += "property list uchar int vertex_indices\nend_header\n"
     names = "".join(f"property float {x}\n" for x in ("x", "y", "z", "nx", "ny", "nz"))
     rows = [" ".join(map(str, [*x, *n])) for x, n in zip(ball.vertices, ball.normals)]
     rows += ["3 " + " ".join(map(str, face)) for face in ball.faces]
@@ -122,7 +126,8 @@ def originals(folder):
 
 
 def attempt(folder, files, rng):
-    """Damages one file, renders, and returns what is wrong with how the command took it, None if nothing is; and whether it rendered."""
+    """Damages one file and renders. Returns what is wrong with how the command took it, None if nothing is; and whether
+    it rendered."""
     kind = rng.choice(["xml", "xml", "ply", "obj", "ascii"])
     name = "ball.obj" if kind == "obj" else "ball.ply"
     text = files["xml"].replace('type="ply"', 'type="obj"').replace("ball.ply", name) if kind == "obj" else files["xml"]

@@ -1,5 +1,5 @@
-"""Imports run one way: a module may use what stands before it in ORDER, and nothing else of the package. And ``scene/`` alone reads
-what a scene of Mitsuba's holds."""
+"""Imports run one way: a module may use what stands before it in ORDER, and nothing else of the package. And
+``scene/`` alone reads what a scene of Mitsuba's holds."""
 
 import ast
 from pathlib import Path
@@ -8,14 +8,28 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "mitsuba_refscatter"
 
-# Modules and subpackages from the ground up: the layout of the house. What uses Mitsuba only to describe a machine or to write a file
-# (platform, image_io) knows nothing of the others.
+# Modules and subpackages from the ground up: the layout of the house. What uses Mitsuba only to describe a machine
+# or to write a file (platform, image_io) knows nothing of the others.
 CORE = [
-    "tolerances", "core", "platform", "optics", "geometry", "scene", "transport", "light", "missing", "solve", "culling",
-    "estimators", "options", "film", "integrators", "plugin",
-]  # fmt: skip
+    "tolerances",
+    "core",
+    "platform",
+    "optics",
+    "geometry",
+    "scene",
+    "transport",
+    "light",
+    "missing",
+    "solve",
+    "culling",
+    "estimators",
+    "options",
+    "film",
+    "integrators",
+    "plugin",
+]
 
-TOOLS = ["probing", "example_scenes", "image_io", "benchmarks", "commands", "__main__"]
+TOOLS = ["example_scenes", "image_io", "benchmarks", "probing", "commands", "__main__"]
 """They load scenes, change them and render them, with other integrators, too."""
 
 ORDER = CORE + TOOLS

@@ -1,5 +1,5 @@
-"""What an integrator keeps from render to render follows the scene: after each change its image, and the coarse mesh that it takes, are
-those of a fresh integrator."""
+"""What an integrator keeps from render to render follows the scene: after each change its image, and the coarse
+mesh that it takes, are those of a fresh integrator."""
 
 from dataclasses import replace
 
@@ -89,7 +89,8 @@ CHANGES = {
 
 
 def test_the_coarse_mesh_follows_the_scene(ball, render, monkeypatch):
-    """Light, camera, medium and boundary are changed one at a time. A coarse mesh is in use all the time, often another one."""
+    """Light, camera, medium and boundary are changed one at a time. A coarse mesh is in use all the time, often
+    another one."""
     scene, one = ball(), refscatter()
     # First by a camera that is no part of the scene: when it is changed for another, nothing of that changes.
     _, by_other = render(one, scene, mi.load_dict(camera((3, -3, 1))))

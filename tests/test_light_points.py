@@ -86,8 +86,8 @@ def slots(turns, n):
 
 
 def test_neighbours_take_different_points(prepared):
-    """The lamp is for all; of the pool each of eight consecutive pixels takes a point of its own, in another order than the
-    next eight, in the next pass a further one."""
+    """The lamp is for all; of the pool each of eight consecutive pixels takes a point of its own, in another order
+    than the next eight, in the next pass a further one."""
     n = 8 * 40
     taken, later = (slots(shares(prepared, n, Batch(k, 1)), n) for k in range(2))
     assert taken[:, 0].all() and (taken[:, 1:].sum(axis=1) == 1).all()

@@ -37,10 +37,15 @@ def error(ours, truth):
 
 
 def spot(origin, target, beam_width, cutoff):
-    """A spot of radiant intensity 10, and that intensity as a function of directions, as Mitsuba documents it: even up to
-    the beam's width, then linear in the angle down to the cutoff."""
-    shape = {"type": "spot", "intensity": colour(10, 10, 10), "beam_width": beam_width, "cutoff_angle": cutoff,
-             "to_world": mi.ScalarTransform4f().look_at(origin=list(origin), target=list(target), up=[0, 1, 0])}  # fmt: skip
+    """A spot of radiant intensity 10, and that intensity as a function of directions, as Mitsuba documents it: even
+    up to the beam's width, then linear in the angle down to the cutoff."""
+    shape = {
+        "type": "spot",
+        "intensity": colour(10, 10, 10),
+        "beam_width": beam_width,
+        "cutoff_angle": cutoff,
+        "to_world": mi.ScalarTransform4f().look_at(origin=list(origin), target=list(target), up=[0, 1, 0]),
+    }
     axis = np.subtract(target, origin) / np.linalg.norm(np.subtract(target, origin))
 
     def intensity(direction):
@@ -120,17 +125,16 @@ def test_airlight(g):
     o, d = rays_around(light, (0.0, 0.2, -1.0))
     scene, medium = fog(g, light)
     ours = build.single_scattering(scene, o, d, medium=medium, tolerance=1e-3)
-    sigma_s, sigma_t = sigma()
     # ours starts at a float32 d, which is a unit vector to 1e-7
     d = d / np.linalg.norm(d, axis=1, keepdims=True)
-    truth = closed_forms.airlight_radiance(
-        sigma_s, sigma_t, g or 0.0, light, np.full(3, 10.0), o, d, np.full(200, 60.0)
-    )
+    medium, rays = oracle.Medium(*sigma(), g or 0.0), oracle.CameraRays(o, d, np.full(200, 60.0))
+    truth = closed_forms.airlight_radiance(medium, (light, np.full(3, 10.0)), rays)
     assert error(ours, truth).max() < 1e-3
 
 
 def test_airlight_in_glass():
-    """Camera and light in a cube of glass. Past the light rays see it so close that the variance of volpath is infinite."""
+    """Camera and light in a cube of glass. Past the light rays see it so close that the variance of volpath is
+    infinite."""
     light = np.array([0.2, 0.1, 0.0])
     o, d = rays_around(light, (0.0, 0.2, 0.9))
     sensor = {"type": "perspective", "medium": {"type": "ref", "id": "amber"}}
@@ -142,7 +146,8 @@ def test_airlight_in_glass():
     ours = build.single_scattering(scene, o, d, medium=medium, internal_bounces=0, tolerance=1e-3)
     d = d / np.linalg.norm(d, axis=1, keepdims=True)
     ends = ((np.sign(d) - o) / d).min(axis=1)
-    truth = closed_forms.airlight_radiance(*sigma(), 0.0, light, np.full(3, 10.0), o, d, ends)
+    rays = oracle.CameraRays(o, d, ends)
+    truth = closed_forms.airlight_radiance(oracle.Medium(*sigma(), 0.0), (light, np.full(3, 10.0)), rays)
     assert error(ours, truth).max() < 1e-3
 
 
@@ -159,9 +164,7 @@ def test_light_in_an_index_matched_body(tmp_path, bsdf):
     body = body_of(mesh, 1.0, 0.5)
     legs = oracle.camera_segments([body], o, d, 0)
     assert (legs.ray == np.arange(200)).all()
-    truth = legs.weight * closed_forms.airlight_radiance(
-        body.sigma_s, body.sigma_t, body.g, light, np.full(3, 10.0), legs.o, legs.d, legs.t_max
-    )
+    truth = legs.weight * closed_forms.airlight_radiance(body, (light, np.full(3, 10.0)), legs)
     assert error(ours, truth).max() < 1e-3
 
 
@@ -170,8 +173,8 @@ def test_light_in_an_index_matched_body(tmp_path, bsdf):
 
 @pytest.mark.parametrize("eta", [1.33, 1.7])
 def test_under_water(eta):
-    """A plane of two triangles with the medium below, the camera in it, against the formula for a plane; rays down, which
-    never end, and up, which end at the surface."""
+    """A plane of two triangles with the medium below, the camera in it, against the formula for a plane; rays down,
+    which never end, and up, which end at the surface."""
     light, size = np.array([0.3, -0.2, 2.0]), 40.0
     water = {"type": "rectangle", "to_world": to(("scale", size)), "bsdf": glass(eta), "interior": amber()}
     sensor = {"type": "perspective", "medium": {"type": "ref", "id": "amber"}}
@@ -183,17 +186,17 @@ def test_under_water(eta):
     ours = build.single_scattering(
         scene, o, d, medium=scene.sensors()[0].get_medium(), internal_bounces=0, tolerance=1e-4
     )
-    sigma_s, sigma_t = sigma()
     up = d[:, 2] > 0
     t_max = np.where(up, -o[:, 2] / np.where(up, d[:, 2], 1), 60.0)
     assert 50 < up.sum() < 250
-    truth = closed_forms.plane_radiance(eta, sigma_s, sigma_t, 0.0, light, np.full(3, 10.0), o, d, t_max, steps=256)
+    water, rays = oracle.Medium(*sigma(), 0.0), oracle.CameraRays(o, d, t_max)
+    truth = closed_forms.plane_radiance(eta, water, (light, np.full(3, 10.0)), rays, steps=256)
     assert error(ours, truth).max() < 1e-3
 
 
 def test_a_hole_is_an_open_surface(tmp_path):
-    """A closed body with some triangles missing, on the side that is neither lit nor seen: nothing else changes, as rays
-    end there. On the lit side, light that would come through the missing triangles is missing."""
+    """A closed body with some triangles missing, on the side that is neither lit nor seen: nothing else changes, as
+    rays end there. On the lit side, light that would come through the missing triangles is missing."""
     mesh = build.rounded_mesh(bumpy_sphere(2))
     centre = mesh.corners.mean(axis=1)
     light, o, d = (0.0, 4.0, 3.0), *build.rays_at(CAMERA, 0.5, 200, seed=10)
@@ -215,8 +218,8 @@ def test_a_hole_is_an_open_surface(tmp_path):
 
 @pytest.mark.parametrize("change", ["mirrored", "flipped", "both"])
 def test_inside_is_what_a_body_encloses(tmp_path, change):
-    """A mirrored transform turns the triangles' winding, and ``flip_normals`` the normals: the image is that of the same
-    body given as it is."""
+    """A mirrored transform turns the triangles' winding, and ``flip_normals`` the normals: the image is that of the
+    same body given as it is."""
     mesh, light = build.rounded_mesh(bumpy_sphere(2)), (-2.6, 2.4, -0.9)
     o, d = build.rays_at(CAMERA, 0.8, 100, seed=11)
     mirrored = change != "flipped"
@@ -259,9 +262,10 @@ def test_hollow_shell(tmp_path):
     outer, inner = build.rounded_mesh(bumpy_sphere(2)), build.rounded_mesh(bumpy_sphere(1))
     count = len(outer.vertices)
     shell = Mesh(
-        np.concatenate([outer.vertices, 0.5 * inner.vertices]), np.concatenate([outer.faces, count + inner.faces[:, ::-1]]),
+        np.concatenate([outer.vertices, 0.5 * inner.vertices]),
+        np.concatenate([outer.faces, count + inner.faces[:, ::-1]]),
         np.concatenate([outer.normals, -inner.normals]),
-    )  # fmt: skip
+    )
     shell = build.rounded_mesh(shell)
     light, (o, d) = (-2.6, 2.4, -0.9), build.rays_at(CAMERA, 0.9, 150, seed=13)
     shape = build.mesh_shape(shell, tmp_path / "m.ply", eta=1.3)
@@ -283,20 +287,42 @@ def test_every_variant_takes_every_light(variant):
         mi.set_variant(name)
         grey = lambda x: {"type": "rgb", "value": [x] * 3}  # noqa: E731
         up = mi.ScalarTransform4f().look_at(origin=[0.5, 4, 1], target=[0.1, 0, 0], up=[1, 0, 0])
-        scene = mi.load_dict({
-            "type": "scene", "integrator": {"type": "refscatter", "surfaces": False, "culling": "spindle"},
-            "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at([0, 1, 5], [0, 0, 0], [0, 1, 0]),
-                       "fov": 30, "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"},
-                                           "pixel_format": "luminance"}},
-            "spot": {"type": "spot", "to_world": up, "cutoff_angle": 16.0, "intensity": grey(30.0)},
-            "sun": {"type": "directional", "direction": [-0.4, -1, -0.6], "irradiance": grey(1.0)},
-            "sky": {"type": "constant", "radiance": grey(0.3)},
-            "panel": {"type": "rectangle", "to_world": to(("translate", [0, 3, 0]), ("rotate", [1, 0, 0], 90)),
-                      "emitter": {"type": "area", "radiance": grey(2.0)}},
-            "body": {"type": "cube", "bsdf": glass(1.3, specular_transmittance=grey(0.8)),
-                     "interior": {"type": "homogeneous", "sigma_t": grey(0.5), "albedo": grey(0.8),
-                                  "phase": {"type": "rayleigh"}}},
-        })  # fmt: skip
+        scene = mi.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "refscatter", "surfaces": False, "culling": "spindle"},
+                "sensor": {
+                    "type": "perspective",
+                    "to_world": mi.ScalarTransform4f().look_at([0, 1, 5], [0, 0, 0], [0, 1, 0]),
+                    "fov": 30,
+                    "film": {
+                        "type": "hdrfilm",
+                        "width": 16,
+                        "height": 16,
+                        "rfilter": {"type": "box"},
+                        "pixel_format": "luminance",
+                    },
+                },
+                "spot": {"type": "spot", "to_world": up, "cutoff_angle": 16.0, "intensity": grey(30.0)},
+                "sun": {"type": "directional", "direction": [-0.4, -1, -0.6], "irradiance": grey(1.0)},
+                "sky": {"type": "constant", "radiance": grey(0.3)},
+                "panel": {
+                    "type": "rectangle",
+                    "to_world": to(("translate", [0, 3, 0]), ("rotate", [1, 0, 0], 90)),
+                    "emitter": {"type": "area", "radiance": grey(2.0)},
+                },
+                "body": {
+                    "type": "cube",
+                    "bsdf": glass(1.3, specular_transmittance=grey(0.8)),
+                    "interior": {
+                        "type": "homogeneous",
+                        "sigma_t": grey(0.5),
+                        "albedo": grey(0.8),
+                        "phase": {"type": "rayleigh"},
+                    },
+                },
+            }
+        )
         return np.array(mi.render(scene, spp=64))
 
     ours, rgb = image(current), image("llvm_ad_rgb")

@@ -1,4 +1,5 @@
-"""What a picture lacks is told, once and by name; nothing is told where nothing is missing; and the shares are about right."""
+"""What a picture lacks is told, once and by name; nothing is told where nothing is missing; and the shares are
+about right."""
 
 import re
 from pathlib import Path
@@ -66,27 +67,63 @@ def shares(scene):
 
 MISSING = {
     "a window between lamp and body": (
-        lambda: {"light": point_light((-3.4, 0.7, 0.5)), "body": ball(),
-                 "pane": box(("translate", [-1.9, 0, 0]), ("scale", [0.04, 1.7, 1.7]))}, "it passes through shape \"pane\" first"),
+        lambda: {
+            "light": point_light((-3.4, 0.7, 0.5)),
+            "body": ball(),
+            "pane": box(("translate", [-1.9, 0, 0]), ("scale", [0.04, 1.7, 1.7])),
+        },
+        'it passes through shape "pane" first',
+    ),
     "a liquid in a shell": (
-        lambda: {"light": LAMP, "shell": ball(1.0, glass(1.5), None), "liquid": ball(0.8, {"type": "dielectric", "int_ior": 1.33, "ext_ior": 1.5})},
-        "it passes through shape \"shell\" first"),
+        lambda: {
+            "light": LAMP,
+            "shell": ball(1.0, glass(1.5), None),
+            "liquid": ball(0.8, {"type": "dielectric", "int_ior": 1.33, "ext_ior": 1.5}),
+        },
+        'it passes through shape "shell" first',
+    ),
     "a film that lies on a slab": (
-        lambda: {"light": LAMP, "film": box(("translate", [0, 0.02, 0]), ("scale", [2, 0.02, 2])), "slab": box(
-            ("translate", [0, -0.5, 0]), ("scale", [2, 0.5, 2]), interior=WITHIN)}, "it passes through shape \"film\" first"),
+        lambda: {
+            "light": LAMP,
+            "film": box(("translate", [0, 0.02, 0]), ("scale", [2, 0.02, 2])),
+            "slab": box(("translate", [0, -0.5, 0]), ("scale", [2, 0.5, 2]), interior=WITHIN),
+        },
+        'it passes through shape "film" first',
+    ),
     "fog behind a ball of glass": (
-        lambda: {"light": point_light((-1.2, 1.7, 0.2)), "room": box(("scale", 2.0), bsdf={"type": "null"}, interior=WITHIN),
-                 "ball": ball(0.6, glass(1.5), None, exterior=WITHIN)}, "it passes through shape \"ball\" first"),
-    "a cube": (lambda: {"light": LAMP, "body": box(interior=WITHIN)}, "it is reflected inside shape \"body\" first"),
+        lambda: {
+            "light": point_light((-1.2, 1.7, 0.2)),
+            "room": box(("scale", 2.0), bsdf={"type": "null"}, interior=WITHIN),
+            "ball": ball(0.6, glass(1.5), None, exterior=WITHIN),
+        },
+        'it passes through shape "ball" first',
+    ),
+    "a cube": (lambda: {"light": LAMP, "body": box(interior=WITHIN)}, 'it is reflected inside shape "body" first'),
     "a mirror": (
-        lambda: {"light": point_light((-2.6, 0.4, 2.2)), "body": ball(), "mirror": {
-            "type": "rectangle", "to_world": to(("translate", [0, 0, -2.6]), ("scale", 1.6)), "bsdf": {"type": "conductor"}}},
-        "it is reflected by shape \"mirror\" first"),
+        lambda: {
+            "light": point_light((-2.6, 0.4, 2.2)),
+            "body": ball(),
+            "mirror": {
+                "type": "rectangle",
+                "to_world": to(("translate", [0, 0, -2.6]), ("scale", 1.6)),
+                "bsdf": {"type": "conductor"},
+            },
+        },
+        'it is reflected by shape "mirror" first',
+    ),
     "a wall": (
-        lambda: {"light": point_light((-2.2, 1.5, 0)), "body": ball(), "wall": {
-            "type": "rectangle", "to_world": to(("translate", [1.5, 0, 0]), ("rotate", [0, 1, 0], -90), ("scale", 2)),
-            "bsdf": {"type": "diffuse", "reflectance": colour(0.2, 0.8, 0.2)}}}, "it comes from surfaces such as shape \"wall\""),
-}  # fmt: skip
+        lambda: {
+            "light": point_light((-2.2, 1.5, 0)),
+            "body": ball(),
+            "wall": {
+                "type": "rectangle",
+                "to_world": to(("translate", [1.5, 0, 0]), ("rotate", [0, 1, 0], -90), ("scale", 2)),
+                "bsdf": {"type": "diffuse", "reflectance": colour(0.2, 0.8, 0.2)},
+            },
+        },
+        'it comes from surfaces such as shape "wall"',
+    ),
+}
 """Parts of a scene, and the one reason that is to be told."""
 
 
@@ -109,13 +146,49 @@ def test_further_scattering_is_told():
 # ---- Nothing is missing ----------------------------------------------------------------------
 
 COMPLETE = [
-    *(f"light {name}" for name in ("point", "spot", "directional", "sphere", "rectangle", "disk", "cylinder", "mesh", "constant", "envmap",
-                                   "several", "pool")),
-    *(f"boundary {name}" for name in ("eta below 1", "eta of 1", "null", "thin from behind", "open water", "sphere", "sphere of air in medium")),
-    *(f"place {name}" for name in ("camera under water", "no boundary", "light in a bubble", "opaque outside", "in a mirror",
-                                   "one behind the other", "standing on another")),
+    *(
+        f"light {name}"
+        for name in (
+            "point",
+            "spot",
+            "directional",
+            "sphere",
+            "rectangle",
+            "disk",
+            "cylinder",
+            "mesh",
+            "constant",
+            "envmap",
+            "several",
+            "pool",
+        )
+    ),
+    *(
+        f"boundary {name}"
+        for name in (
+            "eta below 1",
+            "eta of 1",
+            "null",
+            "thin from behind",
+            "open water",
+            "sphere",
+            "sphere of air in medium",
+        )
+    ),
+    *(
+        f"place {name}"
+        for name in (
+            "camera under water",
+            "no boundary",
+            "light in a bubble",
+            "opaque outside",
+            "in a mirror",
+            "one behind the other",
+            "standing on another",
+        )
+    ),
     *(f"phase {name}" for name in real.PHASES),
-]  # fmt: skip
+]
 """Of ``test_real_scenes`` those that lack less than a few percent, but for what scatters again."""
 
 
@@ -178,16 +251,22 @@ def test_all_of_it_is_missing_in_a_shell():
 
 
 SEEN = {
-    **{name: real.CASES[name] for name in ("light point", "boundary sphere", "boundary eta above 1", "place two bodies")},
-    "a thin sheet": real.Case(lambda: {"light": real.ball_light(), "body": real.cube({"type": "thindielectric", "int_ior": 1.7})}),
-}  # fmt: skip
+    **{
+        name: real.CASES[name]
+        for name in ("light point", "boundary sphere", "boundary eta above 1", "place two bodies")
+    },
+    "a thin sheet": real.Case(
+        lambda: {"light": real.ball_light(), "body": real.cube({"type": "thindielectric", "int_ior": 1.7})}
+    ),
+}
 """Scenes in which volpath finds what refscatter lacks: mirror images of points it doesn't."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SEEN)
 def test_what_is_told_against_volpath(name):
-    """All that volpath finds without a limit on depth, and all that refscatter does: what lacks is what is told, within 6 % of the light."""
+    """All that volpath finds without a limit on depth, and all that refscatter does: what lacks is what is told,
+    within 6 % of the light."""
     ours = {"type": "refscatter", "surfaces": False, "internal_bounces": 10, **SEEN[name].options}
     theirs = {"type": "volpath", "max_depth": 40, "rr_depth": 1000}
     scene, full, clear = (
@@ -321,7 +400,9 @@ def test_commands_that_measure_say_nothing(capfd):
 
 def test_the_first_screen_of_the_readme_says_the_same():
     readme = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
-    first = " ".join(readme.partition("## Two commands")[0].split())
-    for said in ("refracted again", "reflected inside or by mirrors", "scatters more than once", "surfaces send into media",
-                 "Light on surfaces ignores media"):  # fmt: skip
+    first = " ".join(readme.partition("\n## ")[0].split())
+    for said in (
+        "refracted again", "reflected inside or by mirrors", "scatters more than once", "surfaces send into media",
+        "Light on surfaces ignores media",
+    ):  # fmt: skip
         assert said in first, said

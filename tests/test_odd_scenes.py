@@ -78,7 +78,8 @@ def test_meshes_of_one_shape(make, name):
 
 
 def test_one_triangle(make):
-    """A boundary that encloses nothing: light comes in by it, and is seen by rays that come in by it, not by those beside."""
+    """A boundary that encloses nothing: light comes in by it, and is seen by rays that come in by it, not by those
+    beside."""
     alone = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]), None)
     scene = make.scene(ball=make.ball(alone), lamp=build.point_light((0.3, 0.2, 3)))
     o, d = build.rays_towards((0, 0, 5), [(0.3, 0.3, 0), (0.1, 0.7, 0), (0.6, 0.6, 0), (-0.1, 0.3, 0)])

@@ -1,4 +1,5 @@
-"""The kernels of a render hold only what its scene requires: seen in the kernels themselves, in Dr.Jit's history of them."""
+"""The kernels of a render hold only what its scene requires: seen in the kernels themselves, in Dr.Jit's history of
+them."""
 
 import re
 
@@ -50,15 +51,21 @@ class Kernels:
 
 
 def view():
-    return {"type": "perspective", "fov": 34, "to_world": mi.ScalarTransform4f().look_at([0.3, 0.5, 5], [0, 0, 0], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "box"}}}  # fmt: skip
+    return {
+        "type": "perspective",
+        "fov": 34,
+        "to_world": mi.ScalarTransform4f().look_at([0.3, 0.5, 5], [0, 0, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "box"}},
+    }
 
 
 def scene(path, mesh, **parts):
     integrator = {"type": "refscatter", "surfaces": False, "internal_bounces": 0, "light_samples": 2}
     body = mesh_shape(mesh, path, g=parts.pop("g", None))
-    return mi.load_dict({"type": "scene", "integrator": integrator, "sensor": view(), "lamp": point_light(LAMP), "body": body,
-                         **parts}, optimize=False)  # fmt: skip
+    return mi.load_dict(
+        {"type": "scene", "integrator": integrator, "sensor": view(), "lamp": point_light(LAMP), "body": body, **parts},
+        optimize=False,
+    )
 
 
 def rich(path):
@@ -67,12 +74,25 @@ def rich(path):
               "bsdf": {"type": "conductor"}}  # fmt: skip
     block = {"type": "sphere", "radius": 0.2, "bsdf": {"type": "diffuse"}}
     return scene(
-        path, bumpy_sphere(2, 0.2, 6.0), g=0.6, sky=sky(), spot=spot(), sun=sun(), panel=panel("disk"), ball=ball_light(), mirror=mirror,
-        block=block, thin=empty({"type": "thindielectric"}, ("translate", [0, 2.6, 0])),
-        fog={"type": "cube", "to_world": to(("translate", [2.5, 0, 0]), ("scale", 0.4)), "bsdf": {"type": "null"},
-             "interior": {**medium(phase={"type": "rayleigh"}), "id": "other"}},
+        path,
+        bumpy_sphere(2, 0.2, 6.0),
+        g=0.6,
+        sky=sky(),
+        spot=spot(),
+        sun=sun(),
+        panel=panel("disk"),
+        ball=ball_light(),
+        mirror=mirror,
+        block=block,
+        thin=empty({"type": "thindielectric"}, ("translate", [0, 2.6, 0])),
+        fog={
+            "type": "cube",
+            "to_world": to(("translate", [2.5, 0, 0]), ("scale", 0.4)),
+            "bsdf": {"type": "null"},
+            "interior": {**medium(phase={"type": "rayleigh"}), "id": "other"},
+        },
         bubble=empty(glass(1.2), ("translate", [-2.4, 0, 0]), ("scale", 0.4)),
-    )  # fmt: skip
+    )
 
 
 def test_a_simple_scene_pays_nothing_for_a_rich_one(tmp_path, monkeypatch):
@@ -95,7 +115,8 @@ def test_a_simple_scene_pays_nothing_for_a_rich_one(tmp_path, monkeypatch):
 
 
 def test_a_convex_body_traces_no_inner_shadow_rays(tmp_path):
-    """With something opaque outside, its light is tested on the way to it only; a body that is not convex tests inside, too."""
+    """With something opaque outside, its light is tested on the way to it only; a body that is not convex tests
+    inside, too."""
     block = {
         "type": "cube",
         "to_world": to(("translate", [0.9, 1.6, 0.8]), ("scale", 0.2)),

@@ -1,5 +1,7 @@
 """The oracle against closed forms, laws and itself.  Imports nothing of the package."""
 
+from collections import namedtuple
+
 import closed_forms
 import meshes
 import numpy as np
@@ -7,20 +9,21 @@ import oracle
 import pytest
 from comparison import bias, l1
 from meshes import BoxTree, Mesh, bumpy_sphere, dot, icosphere, norm, unit
+from oracle import Beams, Body, CameraRays, Medium
 
 LIGHT = np.array([0.31, 0.53, 2.71])  # generic: no ray from it meets an edge exactly
-GREY = (0.5, 0.7, 0.3, LIGHT, 10.0)  # sigma_s, sigma_t, g, light, intensity
-COLOUR = ([0.5, 0.9], [0.7, 0.2], 0.3, LIGHT, [10.0, 3.0])
+GREY, WHITE_LIGHT = Medium(0.5, 0.7, 0.3), (LIGHT, 10.0)
+COLOUR, COLOURED_LIGHT = Medium([0.5, 0.9], [0.7, 0.2], 0.3), (LIGHT, [10.0, 3.0])
 
 
 def chords(mesh, count, seed):
-    """First interior segments of straight rays through a mesh: o, d (n,3), t_max (n,)."""
+    """First interior segments of straight rays through a mesh."""
     rng = np.random.default_rng(seed)
     o = 3 * unit(rng.normal(size=(count, 3)))
     d = unit(0.7 * unit(rng.normal(size=(count, 3))) * rng.random((count, 1)) ** (1 / 3) - o)
     _, tri, t, _, _ = BoxTree([mesh]).closest(o, d, np.full(count, -1))
     o = o + t * d
-    return o, d, BoxTree([mesh]).closest(o, d, tri)[2][:, 0]
+    return CameraRays(o, d, BoxTree([mesh]).closest(o, d, tri)[2][:, 0])
 
 
 @pytest.mark.parametrize("g", [-0.7, 0.0, 0.9])
@@ -85,8 +88,8 @@ def test_curve_density_is_the_camera_side_density(eta):
     tangent = gradient[:, ::-1] * [-1, 1] / slope
     ahead, back = (oracle.meeting(oracle.light_ray(patch, uv + k * tangent, LIGHT, eta), o, d) for k in (h, -h))
     dt_dl = np.abs(ahead[0] / ahead[2] - back[0] / back[2]) / (2 * h)
-    coefficients = np.array([2.0]), np.array([0.3]), np.array([7.0])  # sigma_s, sigma_t, I
-    curve = oracle._integrand(patch, uv, eta, coefficients, 0.6, LIGHT, (o, d, 9.0)) / slope / dt_dl
+    medium, rays = Medium(np.array([2.0]), np.array([0.3]), 0.6), CameraRays(o, d, np.full(len(o), 9.0))
+    curve = oracle._integrand(Beams(patch, LIGHT, eta), rays, uv, medium, np.array([7.0])) / slope / dt_dl
     point = 14 * (1 - oracle.interface(-x.w_l, x.n, eta)[0]) * eta**2 * np.exp(-0.3 * (0.5 + s))
     point = point / camera_side_d(patch, x, s, eta) * oracle.phase(0.6, -dot(x.omega, d))
     assert np.allclose(curve, point, rtol=1e-4)
@@ -118,12 +121,12 @@ def test_flat_and_sphere_d(eta):
 
 @pytest.mark.parametrize("mesh", [icosphere(2), bumpy_sphere(3, 0.05), bumpy_sphere(3, 0.3)])
 def test_straight_line_at_eta_one(mesh):
-    o, d, t_max = chords(mesh, 20, 2)
-    truth = closed_forms.straight_line_radiance(mesh, *COLOUR, o, d, t_max)
-    curve = oracle.segment_radiance(mesh, 1.0, *COLOUR, o, d, t_max, 4)
+    rays = chords(mesh, 20, 2)
+    truth = closed_forms.straight_line_radiance(mesh, COLOUR, COLOURED_LIGHT, rays)
+    curve = oracle.segment_radiance(Body(mesh, 1.0, *COLOUR), COLOURED_LIGHT, rays, 4)
     assert l1(curve, truth) < 1e-4 and np.abs(curve / truth - 1).max() < 1e-3
     facets = Mesh(mesh.vertices, mesh.faces)  # normals play no part
-    assert np.array_equal(oracle.segment_radiance(facets, 1.0, *COLOUR, o, d, t_max, 4), curve)
+    assert np.array_equal(oracle.segment_radiance(Body(facets, 1.0, *COLOUR), COLOURED_LIGHT, rays, 4), curve)
 
 
 @pytest.mark.parametrize("eta", [0.8, 1.0, 1.33, 2.5])
@@ -133,12 +136,11 @@ def test_water_surface(eta):
     water = np.column_stack([60 * grid - 25, 0 * grid[:, 0]])
     o, d = rng.uniform(-2, 2, (20, 3)), rng.normal(size=(20, 3))
     o[:, 2], d[:, 2] = -rng.uniform(0.02, 2, 20), -np.abs(d[:, 2]) / 2
-    light, t_max = np.array([0.3, 0.2, 2.0]), rng.uniform(0.5, 4, 20)
-    medium = (*COLOUR[:3], light, [10.0, 3.0], o, unit(d), t_max)
-    truth = closed_forms.plane_radiance(eta, *medium)
-    assert l1(closed_forms.plane_radiance(eta, *medium, steps=64), truth) < 1e-12
+    light, rays = (np.array([0.3, 0.2, 2.0]), [10.0, 3.0]), CameraRays(o, unit(d), rng.uniform(0.5, 4, 20))
+    truth = closed_forms.plane_radiance(eta, COLOUR, light, rays)
+    assert l1(closed_forms.plane_radiance(eta, COLOUR, light, rays, steps=64), truth) < 1e-12
     for normals in (None, np.tile([0, 0, 2.0], (len(water), 1))):
-        curve = oracle.segment_radiance(Mesh(water, faces, normals), eta, *medium, 16)
+        curve = oracle.segment_radiance(Body(Mesh(water, faces, normals), eta, *COLOUR), light, rays, 16)
         assert l1(curve, truth) < 1e-5 and np.abs(curve / truth - 1).max() < 3e-4
 
 
@@ -148,20 +150,25 @@ def test_sphere_mesh_tends_to_the_sphere(eta):
     d = unit(rng.normal(size=(count, 3)))
     middle = 0.7 * np.cross(d, unit(rng.normal(size=(count, 3))))
     half = np.sqrt(1 - dot(middle, middle))
-    line = middle - half * d, d, 2 * half[:, 0]
-    truth = closed_forms.sphere_radiance(1.0, eta, *GREY, *line)
-    assert l1(closed_forms.sphere_radiance(1.0, eta, *GREY, *line, 50001), truth) < 1e-5
+    rays = CameraRays(middle - half * d, d, 2 * half[:, 0])
+    truth = closed_forms.sphere_radiance(1.0, eta, GREY, WHITE_LIGHT, rays)
+    assert l1(closed_forms.sphere_radiance(1.0, eta, GREY, WHITE_LIGHT, rays, 50001), truth) < 1e-5
     for mesh in map(icosphere, (3, 5)):
         _, tri, t, _, _ = BoxTree([mesh]).closest(middle - 2 * d, d, np.full(count, -1))
         start = middle + (t - 2) * d
         end = BoxTree([mesh]).closest(start, d, tri)[2][:, 0]
-        value = oracle.segment_radiance(mesh, eta, *GREY, start, d, end, 1)
+        value = oracle.segment_radiance(Body(mesh, eta, *GREY), WHITE_LIGHT, CameraRays(start, d, end), 1)
         error.append(l1(value, truth))
     assert abs(bias(value, truth)) < 1e-3 and error[1] < 0.2 * error[0] < 4e-3
 
 
-def light_through_tube(mesh, eta, light, o, d, length, radius, count, rng):
-    """Mean radiance over a thin tube by random light rays, and its error; own optics, no curve."""
+# A thin cylinder from o (3,) on along d (3,), which stands for the camera rays in it.
+Tube = namedtuple("Tube", "o d length radius")
+
+
+def light_through_tube(mesh, eta, light, tube, count, rng):
+    """Mean radiance over a tube by random light rays, and its error; own optics, no curve."""
+    o, d, length, radius = tube
     p, n = mesh.corners, mesh.corner_normals(eta)
     double = meshes.make_patches(mesh, eta).area2[:, 0]
     lit = np.flatnonzero(dot(light - p[:, 0], mesh.facet_normals) > 0)
@@ -209,8 +216,9 @@ def test_energy_and_shadows_against_random_light_rays(amplitude, eta, smooth, se
     along = np.tile(d, (count, 1))
     ray, _, tuv = BoxTree([mesh]).hits(start, along, np.full(count, np.inf), np.full(count, -1))
     assert (tuv[:, 0] > length).all() and (np.bincount(ray, minlength=count) % 2 == 1).all()
-    truth, error = light_through_tube(mesh, eta, light, o, d, length, radius, 400_000, rng)
-    value = oracle.segment_radiance(mesh, eta, *GREY[:3], light, 10.0, start, along, np.full(count, length), 4)
+    truth, error = light_through_tube(mesh, eta, light, Tube(o, d, length, radius), 400_000, rng)
+    rays = CameraRays(start, along, np.full(count, length))
+    value = oracle.segment_radiance(Body(mesh, eta, *GREY), (light, 10.0), rays, 4)
     assert error < 0.04 * truth
     assert abs(value.mean() - truth) < 3 * error + value.std() / np.sqrt(count)
 
@@ -218,12 +226,13 @@ def test_energy_and_shadows_against_random_light_rays(amplitude, eta, smooth, se
 def test_screens_shadow_outside_and_inside():
     """Two half screens: one + other = none + both, as each ray meets one of them at most."""
     mesh = bumpy_sphere(3, 0.05)
-    o, d, t_max = chords(mesh, 20, 6)
-    plain = oracle.segment_radiance(mesh, 1.4, *GREY, o, d, t_max, 4)
+    o, d, t_max = rays = chords(mesh, 20, 6)
+    body = Body(mesh, 1.4, *GREY)
+    plain = oracle.segment_radiance(body, WHITE_LIGHT, rays, 4)
     for height, size in ((1.6, 3), (-0.213, 2)):
         left, right = (meshes.box((x, -size, height), (x + size, size, height + 1e-6)) for x in (0.0517 - size, 0.0517))
         one, other, both = (
-            oracle.segment_radiance(mesh, 1.4, *GREY, o, d, t_max, 4, screens)
+            oracle.segment_radiance(body, WHITE_LIGHT, rays, 4, screens)
             for screens in ((left,), (right,), (left, right))
         )
         assert l1(one + other, plain + both) < 1e-4
@@ -236,40 +245,27 @@ def test_screens_shadow_outside_and_inside():
 @pytest.mark.parametrize("level, eta", [(1, 1.5), (3, 1.5), (2, 0.75)])
 def test_subdivision_converges_and_segments_add(level, eta):
     mesh = bumpy_sphere(level, 0.1)
-    o, d, t_max = (x[:20] for x in chords(mesh, 100, 7))  # two at the critical angle
-    value = [oracle.segment_radiance(mesh, eta, *GREY, o, d, t_max, m) for m in (1, 4, 12)]
+    body, rays = Body(mesh, eta, *GREY), chords(mesh, 100, 7).take(slice(20))  # two at the critical angle
+    value = [oracle.segment_radiance(body, WHITE_LIGHT, rays, m) for m in (1, 4, 12)]
     assert l1(value[0], value[2]) < 1e-3
     assert l1(value[1], value[2]) < 5e-5 and np.abs(value[1] / value[2] - 1).max() < 1e-3
-    parts, count = 0, 4
+    parts, count, (o, d, t_max) = 0, 4, rays
     for k in range(count):
         start = (t_max * k / count)[:, None]
-        parts = parts + np.exp(-0.7 * start) * oracle.segment_radiance(
-            mesh, eta, *GREY, o + start * d, d, t_max / count, 4
-        )
+        part = CameraRays(o + start * d, d, t_max / count)
+        parts = parts + np.exp(-0.7 * start) * oracle.segment_radiance(body, WHITE_LIGHT, part, 4)
     assert l1(parts, value[1]) < 1e-4
 
 
 def test_moved_and_scaled_scene():
     mesh, move, k = bumpy_sphere(3, 0.1), np.array([1000.0, -500.0, 200.0]), 1e3
-    o, d, t_max = chords(mesh, 20, 8)
-    plain = oracle.segment_radiance(mesh, 1.4, *GREY, o, d, t_max, 4)
-    moved = oracle.segment_radiance(
-        Mesh(mesh.vertices + move, mesh.faces, mesh.normals), 1.4, *GREY[:3], LIGHT + move, 10.0, o + move, d, t_max, 4
-    )
+    o, d, t_max = rays = chords(mesh, 20, 8)
+    plain = oracle.segment_radiance(Body(mesh, 1.4, *GREY), WHITE_LIGHT, rays, 4)
+    there = Body(Mesh(mesh.vertices + move, mesh.faces, mesh.normals), 1.4, *GREY)
+    moved = oracle.segment_radiance(there, (LIGHT + move, 10.0), CameraRays(o + move, d, t_max), 4)
     assert np.allclose(moved, plain, rtol=1e-6)
-    large = oracle.segment_radiance(
-        Mesh(k * mesh.vertices, mesh.faces, 3 * mesh.normals),
-        1.4,
-        0.5 / k,
-        0.7 / k,
-        0.3,
-        k * LIGHT,
-        10.0,
-        k * o,
-        d,
-        k * t_max,
-        4,
-    )
+    giant = Body(Mesh(k * mesh.vertices, mesh.faces, 3 * mesh.normals), 1.4, 0.5 / k, 0.7 / k, 0.3)
+    large = oracle.segment_radiance(giant, (k * LIGHT, 10.0), CameraRays(k * o, d, k * t_max), 4)
     assert np.allclose(k**2 * large, plain, rtol=1e-6)  # intensity per area
 
 
@@ -292,7 +288,7 @@ def test_interface_obeys_snell_and_keeps_energy():
 
 
 def slab(top, eta, sigma_t):
-    return oracle.Body(meshes.box((-50, -50, top - 1), (50, 50, top)), eta, np.ones(2), sigma_t)
+    return Body(meshes.box((-50, -50, top - 1), (50, 50, top)), eta, np.ones(2), sigma_t)
 
 
 O, D = np.array([[0.12, 0.23, 1.0]]), unit(np.array([[0.6, 0.2, -0.7]]))
@@ -327,7 +323,7 @@ def test_leaving_one_slab_and_entering_another():
 
 
 def test_total_reflection_keeps_the_weight():
-    cube = oracle.Body(meshes.box((-50, -1, -1), (50, 1, 1)), 1.5, np.ones(1), np.array([0.7]))
+    cube = Body(meshes.box((-50, -1, -1), (50, 1, 1)), 1.5, np.ones(1), np.array([0.7]))
     o, d = np.array([[-51, 0.012, 0.5]]), unit(np.array([[0.8, 0.011, -0.6]]))  # by the end face
     legs = oracle.camera_segments([cube], o, d, 3)
     passed = np.concatenate([[0], np.cumsum(legs.t_max)[:-1]])
@@ -337,7 +333,7 @@ def test_total_reflection_keeps_the_weight():
 
 def test_eta_one_body_transmits_all_and_may_be_entered_again():
     mesh, rng = bumpy_sphere(2, 0.5), np.random.default_rng(10)
-    body = oracle.Body(mesh, 1.0, np.array([0.5, 0.2]), np.array([0.7, 0.0]), 0.3)
+    body = Body(mesh, 1.0, np.array([0.5, 0.2]), np.array([0.7, 0.0]), 0.3)
     o = 4 * unit(rng.normal(size=(60, 3)))
     d = unit(0.9 * unit(rng.normal(size=(60, 3))) - o)
     ray, _, tuv = BoxTree([mesh]).hits(o, d, np.full(60, np.inf), np.full(60, -1))
@@ -349,27 +345,22 @@ def test_eta_one_body_transmits_all_and_may_be_entered_again():
     passed = np.array([(end - start)[:k][ray[:k] == ray[k]].sum() for k in range(len(ray))])
     weight = np.exp(-passed[:, None] * body.sigma_t)
     assert np.allclose(legs.weight[order], weight)
-    truth, lit = np.zeros((60, 2)), (body.sigma_s, body.sigma_t, 0.3, LIGHT, [10.0, 3.0])
-    np.add.at(
-        truth,
-        ray,
-        weight
-        * closed_forms.straight_line_radiance(mesh, *lit, o[ray] + start[:, None] * d[ray], d[ray], end - start, 64),
-    )
-    value = oracle.camera_radiance([body], [lit[3:]], o, d, 5, 4)
+    truth, rays = np.zeros((60, 2)), CameraRays(o[ray] + start[:, None] * d[ray], d[ray], end - start)
+    np.add.at(truth, ray, weight * closed_forms.straight_line_radiance(mesh, body, COLOURED_LIGHT, rays, 64))
+    value = oracle.camera_radiance([body], [COLOURED_LIGHT], o, d, 5, 4)
     assert l1(value, truth) < 5e-4
 
 
 def test_lights_add_and_other_bodies_shadow():
-    glass = oracle.Body(bumpy_sphere(2, 0.1), 1.4, np.array([0.5]), np.array([0.7]))
+    glass = Body(bumpy_sphere(2, 0.1), 1.4, np.array([0.5]), np.array([0.7]))
     ball = Mesh(icosphere(2).vertices * 0.6 + 0.6 * LIGHT, icosphere(2).faces)
-    clear = oracle.Body(ball, 1.2, np.array([0.0]), np.array([0.0]))
+    clear = Body(ball, 1.2, np.array([0.0]), np.array([0.0]))
     o = np.array([[-4.0, 0.1, 0.2], [-4.0, 0.3, 0.1], [-4, 0.2, -0.6]])
     d = unit([0.05, 0.12, 0.03] - o)
     lights = [(LIGHT, [10.0]), (np.array([-1.0, -2.5, 0.4]), [7.0])]
 
     def radiance(bodies, lights, bounces, *opaque):
-        return oracle.camera_radiance(bodies, lights, o, d, bounces, 4, opaque)
+        return oracle.camera_radiance(bodies, lights, o, d, bounces, 4, opaque=opaque)
 
     both, each = radiance([glass], lights, 2), [radiance([glass], [x], 2) for x in lights]
     assert np.allclose(each[0] + each[1], both, rtol=1e-12) and np.min(each) > 0

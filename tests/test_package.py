@@ -150,9 +150,11 @@ IMPORTS = ["import mitsuba_refscatter, mitsuba as mi; mi.set_variant(name)",
 @pytest.mark.parametrize("imports", IMPORTS, ids=["before the variant", "after the variant"])
 def test_the_wheel_is_imported(elsewhere, imports, tmp_path):
     name = mitsuba_refscatter.platform.default_variant()
-    code = (f"name = {name!r}; {imports}; print(mi.load_dict({{'type': 'refscatter'}}).class_name()); "
-            "print(mitsuba_refscatter.__file__); import importlib.util as u; "
-            "print([x for x in ('matplotlib', 'plotly', 'flip_evaluator', 'OpenEXR', 'pytest') if u.find_spec(x)])")  # fmt: skip
+    code = (
+        f"name = {name!r}; {imports}; print(mi.load_dict({{'type': 'refscatter'}}).class_name()); "
+        "print(mitsuba_refscatter.__file__); import importlib.util as u; "
+        "print([x for x in ('matplotlib', 'plotly', 'flip_evaluator', 'OpenEXR', 'pytest') if u.find_spec(x)])"
+    )
     _, file, extras = elsewhere.run("python", "-c", code, cwd=tmp_path).splitlines()
     assert extras == "[]" and Path(file) == elsewhere.packages / PACKAGE / "__init__.py"
 

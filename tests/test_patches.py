@@ -17,7 +17,8 @@ N = 64
 
 @pytest.fixture
 def patches(rgb):
-    """Random patches and the NumPy polynomials ``c . (1, u, v, u^2, uv, v^2)`` that they are: P and n, (N, 3, 6) each."""
+    """Random patches and the NumPy polynomials ``c . (1, u, v, u^2, uv, v^2)`` that they are: P and n, (N, 3, 6)
+    each."""
     rng = np.random.default_rng(4)
     c = rng.normal(size=(2, N, 3, 6)) * [1, 1, 1, 0.2, 0.2, 0.2]
     c[1, :, 2, 0] += 4  # normals that do not vanish
@@ -82,7 +83,8 @@ def test_a_plane_triangle_is_a_patch_without_bulge(rgb):
 
 
 def test_patches_of_a_ball(rgb, tmp_path):
-    """Coarse meshes of a ball: their patches are on it, edges' middles are common, and normals are those of the ball."""
+    """Coarse meshes of a ball: their patches are on it, edges' middles are common, and normals are those of the
+    ball."""
     ball = icosphere(5)
     fine = 3e-4  # how far its facets, of edge 0.04, are from the ball
     mesh = Mesh(ball.vertices, ball.faces, ball.vertices)

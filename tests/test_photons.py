@@ -1,6 +1,8 @@
-"""Photon points and photon beams: they converge to the curve's image as photons grow in number and their radius shrinks.
+"""Photon points and photon beams: they converge to the curve's image as photons grow in number and their radius
+shrinks.
 
-Camera rays, boundaries and media are those of the package on both sides; how light comes to the camera's segments is not.
+Camera rays, boundaries and media are those of the package on both sides; how light comes to the camera's segments is
+not.
 """
 
 from dataclasses import replace
@@ -60,7 +62,8 @@ def ratio_of_means(a, b):
 
 
 def assert_means_agree(what, found, expected, within=0.01):
-    """Within that share, and within three standard errors of the mean over independent photons and what a radius blurs out of bodies."""
+    """Within that share, and within three standard errors of the mean over independent photons and what a radius
+    blurs out of bodies."""
     ratio, error = ratio_of_means(found, expected)
     print(f"{what}: {ratio:.4f} +- {error:.4f}")
     assert error < 0.4 * within and abs(ratio - 1) < min(within, 3 * error + BLUR)
@@ -71,7 +74,8 @@ def by_curve(scene, **options):
 
 
 def means_by_curve(scene):
-    """The same of a light that is drawn, several times over, each ray with light points of its own: eight means over all rays."""
+    """The same of a light that is drawn, several times over, each ray with light points of its own: eight means
+    over all rays."""
     o, d = (np.tile(x, (12, 1)) for x in rays())
     options = {"internal_bounces": 1, "culling": "spindle"}
     return np.array([build.single_scattering(scene, o, d, seed=k, **options).mean() for k in range(8)])
@@ -109,10 +113,13 @@ def test_bias_is_a_blur_that_shrinks_with_the_radius(tmp_path, mode):
 
 
 LIGHTS = {
-    "sphere": lambda: {"light": ball_light(LAMP, 0.5)}, "disk": lambda: {"light": panel("disk")}, "spot": lambda: {"light": spot()},
-    "sun": lambda: {"light": sun()}, "sky": lambda: {"light": {"type": "constant"}},
+    "sphere": lambda: {"light": ball_light(LAMP, 0.5)},
+    "disk": lambda: {"light": panel("disk")},
+    "spot": lambda: {"light": spot()},
+    "sun": lambda: {"light": sun()},
+    "sky": lambda: {"light": {"type": "constant"}},
     "two": lambda: {"light": build.point_light(LAMP), "other": sun()},
-}  # fmt: skip
+}
 
 
 LONG = ("sphere", "disk", "sky", "two")
@@ -120,7 +127,8 @@ LONG = ("sphere", "disk", "sky", "two")
 
 @pytest.mark.parametrize("name", build.slow_ones(LIGHTS, LONG))
 def test_lights(tmp_path, name):
-    """Every kind of light sends photons; several at once share them. Lights that are drawn have the noise of both sides: 3 %."""
+    """Every kind of light sends photons; several at once share them. Lights that are drawn have the noise of both
+    sides: 3 %."""
     scene, drawn = load(tmp_path, **LIGHTS[name]()), name in ("sphere", "disk", "sky")
     ours = means_by_curve(scene) if drawn else by_curve(scene).mean(keepdims=True).ravel()
     for mode in MODES:
@@ -139,18 +147,22 @@ def test_places(tmp_path, mode, place):
     more = {
         "opaque inside": lambda: {"block": {"type": "sphere", "radius": 0.3, "bsdf": {"type": "diffuse"}}},
         "bubble": lambda: {
-            "medium": {"type": "homogeneous", "id": "amber", "sigma_t": 0.5, "albedo": 0.8}, "body": {**body(tmp_path), "interior": amber},
-            "bubble": {"type": "cube", "bsdf": glass(1 / 1.5), "to_world": to(("scale", 0.3)), "exterior": amber}},
+            "medium": {"type": "homogeneous", "id": "amber", "sigma_t": 0.5, "albedo": 0.8},
+            "body": {**body(tmp_path), "interior": amber},
+            "bubble": {"type": "cube", "bsdf": glass(1 / 1.5), "to_world": to(("scale", 0.3)), "exterior": amber},
+        },
         "phase function": lambda: {"body": body(tmp_path, g=0.7)},
         "outer medium": lambda: {
-            "medium": medium(albedo=(0, 0, 0)), "body": body(tmp_path, exterior=fog),
-            "fog": {"type": "cube", "bsdf": {"type": "null"}, "to_world": to(("scale", 1.6)), "interior": fog}},
+            "medium": medium(albedo=(0, 0, 0)),
+            "body": body(tmp_path, exterior=fog),
+            "fog": {"type": "cube", "bsdf": {"type": "null"}, "to_world": to(("scale", 1.6)), "interior": fog},
+        },
         "facets": lambda: {"body": build.mesh_shape(coarse, tmp_path / "body.ply")},
         "eta below 1": lambda: {"body": body(tmp_path, eta=0.8)},
-    }[place]()  # fmt: skip
+    }[place]()
     scene = load(tmp_path, **more)
-    # Without internal reflections: where they are total, in corners, nearly all light that is seen is next to a boundary. Through the
-    # boundary of another medium the body is the second that is hit from outside.
+    # Without internal reflections: where they are total, in corners, nearly all light that is seen is next to a
+    # boundary. Through the boundary of another medium the body is the second that is hit from outside.
     bounces = 1 if place == "outer medium" else 0
     theirs = by_photons(scene, mode, MANY[mode], 8, radius=0.02, internal_bounces=bounces).mean(axis=(1, 2))
     assert np.ptp(theirs) > 0  # of what comes straight photons bring nothing, and nothing would be compared
@@ -173,8 +185,12 @@ def test_radius_shrinks_from_pass_to_pass(mode):
 @pytest.mark.parametrize("mode", MODES)
 def test_a_progressive_render_comes_nearer(tmp_path, mode):
     """More passes, each with fresh photons and a smaller radius: less error, in an image by ``render``."""
-    sensor = {"type": "perspective", "fov": 24, "to_world": mi.ScalarTransform4f().look_at([0, 1, 5], [0, 0, 0], [0, 1, 0]),
-              "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "box"}, "pixel_format": "rgb"}}  # fmt: skip
+    sensor = {
+        "type": "perspective",
+        "fov": 24,
+        "to_world": mi.ScalarTransform4f().look_at([0, 1, 5], [0, 0, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "box"}, "pixel_format": "rgb"},
+    }
     scene = load(tmp_path, sensor=sensor)
     common = {"surfaces": False, "internal_bounces": 0}
     expected = np.array(mi.load_dict({"type": "refscatter", **common}).render(scene, spp=64))

@@ -45,7 +45,8 @@ def test_unknown_variant_names_the_known_ones():
 
 
 @pytest.mark.parametrize("usable, default", [
-    (["cuda_ad_rgb", "llvm_ad_rgb"], "llvm_ad_rgb"), (["cuda_ad_rgb", "llvm_ad_mono"], "cuda_ad_rgb"), (["llvm_ad_mono"], None),
+    (["cuda_ad_rgb", "llvm_ad_rgb"], "llvm_ad_rgb"), (["cuda_ad_rgb", "llvm_ad_mono"], "cuda_ad_rgb"),
+    (["llvm_ad_mono"], None),
 ], ids=["both", "no LLVM", "none"])  # fmt: skip
 def test_llvm_is_the_default_where_it_is_usable(usable, default, monkeypatch):
     """The GPU is taken where it is not, and of two reasons why nothing is usable LLVM's is told."""
@@ -60,8 +61,15 @@ def test_llvm_is_the_default_where_it_is_usable(usable, default, monkeypatch):
         assert report.problem == "llvm_ad_rgb is broken"
 
 
-@pytest.mark.parametrize("version, works, word", [((15, 0, 6), True, "15.0.6"), ((16, 0, 0), True, "16.0.0"),
-                                                  ((-1, -1, -1), False, "no LLVM"), ((19, 1, 7), False, "processor")])  # fmt: skip
+@pytest.mark.parametrize(
+    "version, works, word",
+    [
+        ((15, 0, 6), True, "15.0.6"),
+        ((16, 0, 0), True, "16.0.0"),
+        ((-1, -1, -1), False, "no LLVM"),
+        ((19, 1, 7), False, "processor"),
+    ],
+)
 def test_unsuitable_llvm_is_explained(version, works, word):
     problem = platform._llvm_problem(version, works)
     assert problem is not None and word in problem

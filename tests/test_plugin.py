@@ -155,7 +155,8 @@ def test_what_is_not_resolved_is_told_once(rgb, body, monkeypatch, capfd, most, 
     ], ids=["curve", "interval", "beside", "point", "photons", "straight"],
 )  # fmt: skip
 def test_a_light_at_the_camera_is_told(rgb, body, capfd, integrator, aside, told):
-    """Once, where its light cannot be found; ``tests/test_accuracy.py`` holds what is found of one just beside to a formula."""
+    """Once, where its light cannot be found; ``tests/test_accuracy.py`` holds what is found of one just beside to a
+    formula."""
     lamp = {"type": "point", "position": [0.3 + aside, 0.8, 5], "intensity": grey(1.0)}
     image(scene(body, integrator, extra={"lamp": lamp}))
     lines = "".join(capfd.readouterr()).splitlines()

@@ -51,8 +51,10 @@ def parts(probe, n):
 
 @needs_variant
 def test_the_parts_are_what_the_integrator_finds(rgb, scene, probe, truth):
-    """The integrator's radiance from one point of the segment on, less what is left of it from the next on; and all of it is the
-    integral, the sum over the triangles, and what the estimator finds."""
+    """The integrator's radiance from one point of the segment on, less what is left of it from the next on.
+
+    All of it is the integral, the sum over the triangles, and what the estimator finds.
+    """
     segment, n = probe.segments[0], 16
     t = np.arange(1, n) * segment.length / n
     medium = next(s for s in scene.shapes() if s.id() == "body").interior_medium()
@@ -76,15 +78,18 @@ def test_against_the_oracle(probe, truth):
     t = np.arange(n) * segment.length / n
     o, d = segment.origin + t[:, None] * segment.direction, np.tile(segment.direction, (n, 1))
     length = np.full(n, segment.length / n)
-    value = oracle.segment_radiance(body.mesh, body.eta, body.sigma_s, body.sigma_t, body.g, *light, o, d, length, 16)
+    value = oracle.segment_radiance(body, light, oracle.CameraRays(o, d, length), 16)
     value *= segment.weight * np.exp(-body.sigma_t * t[:, None])
     np.testing.assert_allclose(probe.integral, value.sum(axis=0), rtol=1e-4)
     assert np.abs(parts(probe, n) - value).sum() < 2e-4 * value.sum()
 
 
 def lines(probe, truth):
-    """In float64, for the points of all cells (n, 3): barycentric coordinates (n, 3, 3), and by Snell's law the distance at which
-    their light meets the segment's line, by how much it misses it, and the cosine of the light."""
+    """In float64, for the points of all cells (n, 3): barycentric coordinates (n, 3, 3), and three more by Snell's law.
+
+    They are the distance at which their light meets the segment's line, by how much it misses it, and the light's
+    cosine.
+    """
     body, light, _ = truth
     corners = body.mesh.vertices[body.mesh.faces[probe.curve.triangle]]
     normals = body.mesh.normals[body.mesh.faces[probe.curve.triangle]]
@@ -105,8 +110,10 @@ def lines(probe, truth):
 
 @needs_variant
 def test_points_obey_snell_and_intervals_end_where_they_must(rgb, scene, probe, truth):
-    """Every point sends light onto the segment, at the distance that is said; intervals end on triangles' edges, at folds, with the
-    segment, or where light grazes or a shadow begins."""
+    """Every point sends light onto the segment, at the distance that is said.
+
+    Intervals end on triangles' edges, at folds, with the segment, or where light grazes or a shadow begins.
+    """
     weights, t, miss, cosine = lines(probe, truth)
     assert len(probe.triangles.triangle) > 40 and weights.min() > -1e-4
     assert miss.max() < 2e-5 and np.abs(t - probe.curve.distance).max() < 1e-4
@@ -134,8 +141,10 @@ def shadow_rays(points, light):
 
 @needs_variant
 def test_point_form_and_curve_form_agree(probe):
-    """Simpson's rule for the radiance per unit length over each cell is what the cell brings; but for those with a fold, where it is infinite, and
-    those next to them, where the rule is not good for it."""
+    """Simpson's rule for the radiance per unit length over each cell is what the cell brings.
+
+    Left out are cells with a fold, where it is infinite, and those next to them, where the rule is not good for it.
+    """
     curve = probe.curve
     mean = np.tensordot(curve.radiance, [1 / 6, 4 / 6, 1 / 6], axes=([1], [0]))
     error = np.abs(mean * np.abs(curve.distance[:, 2] - curve.distance[:, 0])[:, None] - curve.integral)
@@ -147,7 +156,8 @@ def test_point_form_and_curve_form_agree(probe):
 
 @needs_variant
 def test_folds_are_where_the_curve_turns_back(probe, truth):
-    """By distances in float64 the curve of a triangle with a fold lies on one side of it, comes to it, and is bright there."""
+    """By distances in float64 the curve of a triangle with a fold lies on one side of it, comes to it, is bright
+    there."""
     _, t, _, _ = lines(probe, truth)
     folded = np.flatnonzero(np.isfinite(probe.curve.fold))
     assert len(folded) == 2
@@ -162,7 +172,8 @@ def test_folds_are_where_the_curve_turns_back(probe, truth):
 
 @needs_variant
 def test_point_samples_lie_on_the_total(probe):
-    """Between the smallest and the largest of the total in the parts next to them; their mean comes near the integral."""
+    """Between the smallest and the largest of the total in the parts around them; their mean comes near the
+    integral."""
     y = curves.luminance(probe.radiance)
     part = np.minimum((probe.samples.distance / probe.segments[0].length * len(y)).astype(int), len(y) - 1)
     around = np.stack([y[np.clip(part + k, 0, len(y) - 1)] for k in (-1, 0, 1)])
@@ -244,15 +255,16 @@ LAMP_INSIDE = (0.2, 0.3, 0.1)
 
 @needs_variant
 def test_light_inside_gives_airlight(rgb, scene_file):
-    """A light in the body reaches the segment straight: its parts, and all of it, are those of the airlight integral."""
+    """A light in the body reaches the segment straight: its parts, and all of it, are as the airlight integral has
+    them."""
     loaded, intensity, n = example_scenes.load(scene_file, res="64"), np.array([10.0, 6.0, 3.0]), 64
     body = oracle_body(loaded)
     probe = probe_with(loaded, [point_light(LAMP_INSIDE, intensity)], parts=n)
     segment = probe.segments[probe.segment]
     t = np.arange(n)[:, None] * segment.length / n
     o, d, length = segment.origin + t * segment.direction, np.tile(segment.direction, (n, 1)), segment.length / n
-    medium = body.sigma_s, body.sigma_t, body.g
-    expected = closed_forms.airlight_radiance(*medium, np.array(LAMP_INSIDE), intensity, o, d, np.full(n, length))
+    rays = oracle.CameraRays(o, d, np.full(n, length))
+    expected = closed_forms.airlight_radiance(body, (np.array(LAMP_INSIDE), intensity), rays)
     expected *= segment.weight * np.exp(-body.sigma_t * t)
     np.testing.assert_allclose(probe.radiance * length, expected, rtol=2e-4)
     np.testing.assert_array_equal(probe.straight, probe.radiance)
@@ -264,7 +276,7 @@ def test_light_inside_gives_airlight(rgb, scene_file):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["spindle", "inside", "several"])
 def test_other_lights_and_the_other_culling(rgb, scene_file, case, tmp_path):
-    """The integral is the estimator's: with the culling ``spindle``, a light inside of the body, which reaches the segment straight, and several lights."""
+    """The integral is the estimator's: with the culling ``spindle``, a light inside of the body, and several lights."""
     sun = {"type": "directional", "direction": [0.3, -1, 0.2], "irradiance": {"type": "rgb", "value": [1, 1, 2]}}
     lights = {"spindle": [], "inside": [point_light(LAMP_INSIDE)], "several": [point_light((-3, 2, 1)), sun]}[case]
     probe = probe_with(

@@ -1,4 +1,5 @@
-"""What holds for any body, light, camera and option: finite, not negative, linear in the light, the same when all is moved."""
+"""What holds for any body, light, camera and option: finite, not negative, linear in the light, the same when all
+is moved."""
 
 import build
 import mitsuba as mi
@@ -34,11 +35,16 @@ def mesh_of(body, rng):
 
 
 SCENES = {
-    "body": bodies, "seed": st.integers(0, 2**32 - 1), "eta": st.sampled_from([0.4, 0.75, 0.999, 1.0, 1.0001, 1.33, 1.5, 2.5]),
-    "density": st.sampled_from([0.0, 1e-6, 0.5, 20.0, 1e4]), "albedo": st.sampled_from([0.0, 0.5, 1.0]),
-    "g": st.sampled_from([None, -0.99, 0.5, 0.99]), "far": st.sampled_from([1.05, 1.5, 4.0, 1e3]), "option": options,
+    "body": bodies,
+    "seed": st.integers(0, 2**32 - 1),
+    "eta": st.sampled_from([0.4, 0.75, 0.999, 1.0, 1.0001, 1.33, 1.5, 2.5]),
+    "density": st.sampled_from([0.0, 1e-6, 0.5, 20.0, 1e4]),
+    "albedo": st.sampled_from([0.0, 0.5, 1.0]),
+    "g": st.sampled_from([None, -0.99, 0.5, 0.99]),
+    "far": st.sampled_from([1.05, 1.5, 4.0, 1e3]),
+    "option": options,
     "bounces": st.integers(0, 3),
-}  # fmt: skip
+}
 
 
 @settings(max_examples=8, derandomize=True, **SETTINGS)
@@ -54,7 +60,7 @@ def test_any_scene_at_length(tmp_path_factory, **scene):
     check(tmp_path_factory.mktemp("any"), **scene)
 
 
-def check(folder, body, seed, eta, density, albedo, g, far, option, bounces):
+def check(folder, *, body, seed, eta, density, albedo, g, far, option, bounces):
     from mitsuba_refscatter import platform
 
     mi.set_variant(platform.default_variant())

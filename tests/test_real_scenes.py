@@ -78,21 +78,47 @@ LIGHTS = {
     "sphere": Case(lambda: {"light": ball_light(radius=0.3), "body": cube()}, options=OWN),
     "rectangle": Case(lambda: {"light": panel("rectangle"), "body": cube()}, options=OWN),
     "disk": Case(lambda: {"light": panel("disk"), "body": cube()}, options=OWN),
-    "cylinder": Case(lambda: {"light": panel("cylinder", ("scale", 0.4)), "body": cube()}, options=OWN,
-                     ours=(8, 16), theirs=(32, 256)),
+    "cylinder": Case(
+        lambda: {"light": panel("cylinder", ("scale", 0.4)), "body": cube()},
+        options=OWN,
+        ours=(8, 16),
+        theirs=(32, 256),
+    ),
     "mesh": Case(lambda: {"light": panel("cube", ("scale", 0.4), radiance=4.0), "body": cube()}, options=OWN),
     "constant": Case(lambda: {"light": {"type": "constant", "radiance": colour(1, 2, 3)}, "body": cube()}, options=OWN),
     "envmap": Case(lambda: {"light": sky(), "body": cube()}, options=OWN),
-    "sunsky": Case(lambda: {"light": {"type": "sunsky", "sun_direction": [0.5, 0.6, 0.4]}, "body": cube()}, options=OWN),
-    "several": Case(lambda: {"a": sky(), "b": sun(), "c": panel("disk"), "d": ball_light(), "e": spot(),
-                             "f": point_light(LAMP), "body": cube()}, options=OWN),
-    "pool": Case(lambda: {"a": sky(), "c": panel("disk"), "d": ball_light(), "body": cube()},
-                 ours=(8, 4), options={"light_samples": 128}),
-    "sphere through glass": Case(lambda: {"light": ball_light(), "body": cube(glass(1.3))}, depth=4, options=OWN, **SLOW),
+    "sunsky": Case(
+        lambda: {"light": {"type": "sunsky", "sun_direction": [0.5, 0.6, 0.4]}, "body": cube()}, options=OWN
+    ),
+    "several": Case(
+        lambda: {
+            "a": sky(),
+            "b": sun(),
+            "c": panel("disk"),
+            "d": ball_light(),
+            "e": spot(),
+            "f": point_light(LAMP),
+            "body": cube(),
+        },
+        options=OWN,
+    ),
+    "pool": Case(
+        lambda: {"a": sky(), "c": panel("disk"), "d": ball_light(), "body": cube()},
+        ours=(8, 4),
+        options={"light_samples": 128},
+    ),
+    "sphere through glass": Case(
+        lambda: {"light": ball_light(), "body": cube(glass(1.3))}, depth=4, options=OWN, **SLOW
+    ),
     "envmap through glass": Case(lambda: {"light": sky(), "body": cube(glass(1.3))}, depth=4, options=OWN, **SLOW),
-    "pool through glass": Case(lambda: {"a": sky(), "c": panel("disk"), "body": cube(glass(1.3))}, depth=4,
-                               options={"light_samples": 64}, ours=(8, 8), theirs=(32, 256)),
-}  # fmt: skip
+    "pool through glass": Case(
+        lambda: {"a": sky(), "c": panel("disk"), "body": cube(glass(1.3))},
+        depth=4,
+        options={"light_samples": 64},
+        ours=(8, 8),
+        theirs=(32, 256),
+    ),
+}
 
 TINTED = {"specular_transmittance": colour(0.9, 0.5, 0.3), "specular_reflectance": colour(0.3, 0.8, 0.6)}
 
@@ -104,8 +130,8 @@ def water(eta, size=40.0):
 
 
 def endless(scale=1.0):
-    """A medium without end. volpath draws distances for one colour and weighs the others by it: the variance of a colour
-    whose extinction is less than half of another's is infinite."""
+    """A medium without end. volpath draws distances for one colour and weighs the others by it: the variance of a
+    colour whose extinction is less than half of another's is infinite."""
     return medium(sigma_t=(0.5, 0.6, 0.8), scale=scale)
 
 
@@ -115,85 +141,210 @@ def dense():
 
 BOUNDARIES = {
     "eta above 1": Case(lambda: {"light": ball_light(), "body": cube(glass(1.5))}, depth=4, options=OWN, **SLOW),
-    "eta below 1": Case(lambda: {"light": ball_light(), "body": cube(glass(0.8))}, depth=4, options=OWN, ours=(8, 32),
-                        theirs=(48, 256)),
+    "eta below 1": Case(
+        lambda: {"light": ball_light(), "body": cube(glass(0.8))}, depth=4, options=OWN, ours=(8, 32), theirs=(48, 256)
+    ),
     "eta of 1": Case(lambda: {"light": ball_light(), "body": cube(glass(1.0))}, depth=4, options=OWN, **SLOW),
     "tinted": Case(lambda: {"light": ball_light(), "body": cube(glass(1.3, **TINTED))}, depth=4, options=OWN, **SLOW),
     "null": Case(lambda: {"light": point_light(LAMP), "body": cube({"type": "null"}, ("rotate", [1, 2, 0], 30))}),
     "thin": Case(lambda: {"light": point_light(LAMP), "body": cube({"type": "thindielectric", "int_ior": 1.7})}),
     "thin and tinted": Case(lambda: {"light": sun(), "body": cube({"type": "thindielectric", **TINTED})}),
-    "two straight ones": Case(lambda: {"light": point_light((0.4, 5, 0.2)), "body": cube(),
-                                       "lid": empty({"type": "thindielectric"}, ("translate", [0, 2.6, 0]))}),
+    "two straight ones": Case(
+        lambda: {
+            "light": point_light((0.4, 5, 0.2)),
+            "body": cube(),
+            "lid": empty({"type": "thindielectric"}, ("translate", [0, 2.6, 0])),
+        }
+    ),
     "thin from behind": Case(
-        lambda: {"light": point_light(LAMP), "body": cube(), "pane": {
-            "type": "rectangle", "to_world": to(("translate", [0, 0, 3.4]), ("rotate", [0, 1, 0], 125), ("scale", 3)),
-            "bsdf": {"type": "thindielectric", "int_ior": 1.7}}}),
-    "open water": Case(lambda: {"light": ball_light((0.5, 1.6, 0.3), 0.6), "body": water(1.33),
-                                "sensor": camera((0, 2, 3), fov=40)}, depth=4, medium=dense, options=OWN, **SLOW),
-    "sphere": Case(lambda: {"light": ball_light(), "body": {**cube(glass(1.3)), "type": "sphere"}}, depth=4, options=OWN, **SLOW),
+        lambda: {
+            "light": point_light(LAMP),
+            "body": cube(),
+            "pane": {
+                "type": "rectangle",
+                "to_world": to(("translate", [0, 0, 3.4]), ("rotate", [0, 1, 0], 125), ("scale", 3)),
+                "bsdf": {"type": "thindielectric", "int_ior": 1.7},
+            },
+        }
+    ),
+    "open water": Case(
+        lambda: {"light": ball_light((0.5, 1.6, 0.3), 0.6), "body": water(1.33), "sensor": camera((0, 2, 3), fov=40)},
+        depth=4,
+        medium=dense,
+        options=OWN,
+        **SLOW,
+    ),
+    "sphere": Case(
+        lambda: {"light": ball_light(), "body": {**cube(glass(1.3)), "type": "sphere"}}, depth=4, options=OWN, **SLOW
+    ),
     "sphere of air in medium": Case(
-        lambda: {"light": point_light((0.2, 2.6, 1.5)), "sensor": camera(medium=WITHIN),
-                 "body": {"type": "sphere", "bsdf": {"type": "null"}, "exterior": WITHIN}}, medium=endless),
+        lambda: {
+            "light": point_light((0.2, 2.6, 1.5)),
+            "sensor": camera(medium=WITHIN),
+            "body": {"type": "sphere", "bsdf": {"type": "null"}, "exterior": WITHIN},
+        },
+        medium=endless,
+    ),
     "closed cylinder": Case(
-        lambda: {"light": ball_light(), "side": {**cube(glass(1.3), ("scale", [1, 1, 0.8])), "type": "cylinder"},
-                 "front": {**cube(glass(1.3), ("scale", [1, 1, 0.8]), ("translate", [0, 0, 1])), "type": "disk"},
-                 "back": {**cube(glass(1.3), ("scale", [1, 1, 0.8]), ("rotate", [1, 0, 0], 180)), "type": "disk"}},
-        depth=4, options=OWN, optimize=False, **SLOW),
-}  # fmt: skip
+        lambda: {
+            "light": ball_light(),
+            "side": {**cube(glass(1.3), ("scale", [1, 1, 0.8])), "type": "cylinder"},
+            "front": {**cube(glass(1.3), ("scale", [1, 1, 0.8]), ("translate", [0, 0, 1])), "type": "disk"},
+            "back": {**cube(glass(1.3), ("scale", [1, 1, 0.8]), ("rotate", [1, 0, 0], 180)), "type": "disk"},
+        },
+        depth=4,
+        options=OWN,
+        optimize=False,
+        **SLOW,
+    ),
+}
 
 PLACES = {
-    "camera inside": Case(lambda: {"light": ball_light(), "body": cube(glass(1.3)),
-                                   "sensor": camera((0, 0.2, 0.9), fov=60, medium=WITHIN)}, depth=3, options=OWN, **SLOW),
-    "camera under water": Case(lambda: {"light": ball_light((0.5, 1.6, 0.3), 0.6), "body": water(1.33),
-                                        "sensor": camera((0, -1, 3), (0, -0.5, 0), fov=40, medium=WITHIN)},
-                               depth=3, medium=dense, options=OWN, ours=(8, 16), theirs=(24, 512)),
-    "light inside": Case(lambda: {"light": ball_light((0.2, 0.1, 0), 0.3), "body": cube(glass(1.3))},
-                         depth=3, options=OWN, ours=(8, 64), theirs=(24, 64)),
+    "camera inside": Case(
+        lambda: {
+            "light": ball_light(),
+            "body": cube(glass(1.3)),
+            "sensor": camera((0, 0.2, 0.9), fov=60, medium=WITHIN),
+        },
+        depth=3,
+        options=OWN,
+        **SLOW,
+    ),
+    "camera under water": Case(
+        lambda: {
+            "light": ball_light((0.5, 1.6, 0.3), 0.6),
+            "body": water(1.33),
+            "sensor": camera((0, -1, 3), (0, -0.5, 0), fov=40, medium=WITHIN),
+        },
+        depth=3,
+        medium=dense,
+        options=OWN,
+        ours=(8, 16),
+        theirs=(24, 512),
+    ),
+    "light inside": Case(
+        lambda: {"light": ball_light((0.2, 0.1, 0), 0.3), "body": cube(glass(1.3))},
+        depth=3,
+        options=OWN,
+        ours=(8, 64),
+        theirs=(24, 64),
+    ),
     # Not in view: past a point light in view volpath's variance is infinite (test_lights.test_airlight_in_glass).
-    "both inside": Case(lambda: {"light": point_light((-0.8, 0.2, 0.8)), "body": cube(glass(1.3)),
-                                 "sensor": camera((0, 0.2, 0.9), fov=60, medium=WITHIN)}),
-    "no boundary": Case(lambda: {"light": point_light((0.2, 2.6, 1.5)), "sensor": camera(medium=WITHIN)}, medium=endless,
-                        theirs=(24, 512)),
+    "both inside": Case(
+        lambda: {
+            "light": point_light((-0.8, 0.2, 0.8)),
+            "body": cube(glass(1.3)),
+            "sensor": camera((0, 0.2, 0.9), fov=60, medium=WITHIN),
+        }
+    ),
+    "no boundary": Case(
+        lambda: {"light": point_light((0.2, 2.6, 1.5)), "sensor": camera(medium=WITHIN)},
+        medium=endless,
+        theirs=(24, 512),
+    ),
     "light in a bubble": Case(
-        lambda: {"light": ball_light((0, 0, 0), 0.8), "sensor": camera((0, 2, 5), (0, 3.6, 0), fov=40, medium=WITHIN),
-                 "body": empty(glass(0.9), exterior=WITHIN)},
-        depth=3, medium=endless, options=OWN, ours=(8, 16), theirs=(64, 256)),
+        lambda: {
+            "light": ball_light((0, 0, 0), 0.8),
+            "sensor": camera((0, 2, 5), (0, 3.6, 0), fov=40, medium=WITHIN),
+            "body": empty(glass(0.9), exterior=WITHIN),
+        },
+        depth=3,
+        medium=endless,
+        options=OWN,
+        ours=(8, 16),
+        theirs=(64, 256),
+    ),
     "bubble in glass": Case(
-        lambda: {"light": ball_light(), "body": cube(glass(1.3)),
-                 "bubble": empty(glass(1 / 1.3), ("translate", [0.1, -0.2, 0.2]), ("scale", 0.4), exterior=WITHIN)},
-        depth=4, options=OWN, **SLOW),
-    "opaque outside": Case(lambda: {"light": point_light(LAMP), "body": cube(),
-                                    "block": empty({"type": "diffuse", "reflectance": 0.0}, ("translate", [0.9, 1.4, 0.8]), ("scale", 0.3))}),
-    "opaque inside": Case(lambda: {"light": ball_light(), "body": cube(glass(1.3)),
-                                   "block": {"type": "sphere", "radius": 0.5, "bsdf": {"type": "diffuse", "reflectance": 0.0}}},
-                          depth=4, options=OWN, **SLOW),
+        lambda: {
+            "light": ball_light(),
+            "body": cube(glass(1.3)),
+            "bubble": empty(glass(1 / 1.3), ("translate", [0.1, -0.2, 0.2]), ("scale", 0.4), exterior=WITHIN),
+        },
+        depth=4,
+        options=OWN,
+        **SLOW,
+    ),
+    "opaque outside": Case(
+        lambda: {
+            "light": point_light(LAMP),
+            "body": cube(),
+            "block": empty({"type": "diffuse", "reflectance": 0.0}, ("translate", [0.9, 1.4, 0.8]), ("scale", 0.3)),
+        }
+    ),
+    "opaque inside": Case(
+        lambda: {
+            "light": ball_light(),
+            "body": cube(glass(1.3)),
+            "block": {"type": "sphere", "radius": 0.5, "bsdf": {"type": "diffuse", "reflectance": 0.0}},
+        },
+        depth=4,
+        options=OWN,
+        **SLOW,
+    ),
     "in a mirror": Case(
-        lambda: {"light": point_light((2, 2, 9)), "body": cube({"type": "null"}, ("translate", [0, 0, 7])),
-                 "mirror": {"type": "rectangle", "to_world": to(("scale", 5)), "bsdf": {"type": "conductor"}},
-                 "sensor": camera((0, 0.3, 4), (0, 0, 0), fov=20)}, depth=3,
-        options={"internal_bounces": 1}),
+        lambda: {
+            "light": point_light((2, 2, 9)),
+            "body": cube({"type": "null"}, ("translate", [0, 0, 7])),
+            "mirror": {"type": "rectangle", "to_world": to(("scale", 5)), "bsdf": {"type": "conductor"}},
+            "sensor": camera((0, 0.3, 4), (0, 0, 0), fov=20),
+        },
+        depth=3,
+        options={"internal_bounces": 1},
+    ),
     "through glass": Case(
-        lambda: {"light": ball_light(), "body": cube(glass(1.2)), "sensor": camera((0, 0, 6), fov=15),
-                 "window": empty(glass(1.3), ("translate", [0, 0, 3]))},
-        depth=6, options={**OWN, "internal_bounces": 1}, **SLOW),
+        lambda: {
+            "light": ball_light(),
+            "body": cube(glass(1.2)),
+            "sensor": camera((0, 0, 6), fov=15),
+            "window": empty(glass(1.3), ("translate", [0, 0, 3])),
+        },
+        depth=6,
+        options={**OWN, "internal_bounces": 1},
+        **SLOW,
+    ),
     "two bodies": Case(
-        lambda: {"light": ball_light((0, 2.4, 0.6)), "a": cube(glass(1.3), ("translate", [-0.9, 0, 0]), ("scale", 0.8)),
-                 "b": cube(glass(1.6), ("translate", [0.9, 0, 0.4]), ("rotate", [0, 1, 0], 30), ("scale", 0.6))},
-        depth=4, options=OWN, **SLOW),
+        lambda: {
+            "light": ball_light((0, 2.4, 0.6)),
+            "a": cube(glass(1.3), ("translate", [-0.9, 0, 0]), ("scale", 0.8)),
+            "b": cube(glass(1.6), ("translate", [0.9, 0, 0.4]), ("rotate", [0, 1, 0], 30), ("scale", 0.6)),
+        },
+        depth=4,
+        options=OWN,
+        **SLOW,
+    ),
     "one behind the other": Case(
-        lambda: {"light": point_light((0, 2.6, 0.4)), "a": cube({"type": "null"}, ("translate", [0, 0, 1.2]), ("scale", 0.4)),
-                 "b": cube({"type": "null"}, ("translate", [0.1, 0.1, -1]), ("scale", 0.7))}),
+        lambda: {
+            "light": point_light((0, 2.6, 0.4)),
+            "a": cube({"type": "null"}, ("translate", [0, 0, 1.2]), ("scale", 0.4)),
+            "b": cube({"type": "null"}, ("translate", [0.1, 0.1, -1]), ("scale", 0.7)),
+        }
+    ),
     "standing on another": Case(
-        lambda: {"light": point_light((0.3, 2.9, 0.4)), "a": cube({"type": "null"}, ("translate", [0, -0.5, 0])),
-                 "b": cube({"type": "null"}, ("translate", [0.2, 1.0, 0]), ("scale", 0.5))}, optimize=False),
+        lambda: {
+            "light": point_light((0.3, 2.9, 0.4)),
+            "a": cube({"type": "null"}, ("translate", [0, -0.5, 0])),
+            "b": cube({"type": "null"}, ("translate", [0.2, 1.0, 0]), ("scale", 0.5)),
+        },
+        optimize=False,
+    ),
     "instances": Case(
-        lambda: {"light": ball_light((0, 2.4, 0.6)),
-                 "group": {"type": "shapegroup", "id": "group", "a": cube(glass(1.3), ("scale", 0.7))},
-                 **{f"copy{k}": {"type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": to(
-                     ("translate", [x, 0, 0]), ("rotate", [0, 1, 0], 25), ("scale", [sign, 1, 1]))}
-                    for k, (x, sign) in enumerate(((-1, 1), (1, -1)))}},
-        depth=4, options=OWN, **SLOW),
-}  # fmt: skip
+        lambda: {
+            "light": ball_light((0, 2.4, 0.6)),
+            "group": {"type": "shapegroup", "id": "group", "a": cube(glass(1.3), ("scale", 0.7))},
+            **{
+                f"copy{k}": {
+                    "type": "instance",
+                    "group": {"type": "ref", "id": "group"},
+                    "to_world": to(("translate", [x, 0, 0]), ("rotate", [0, 1, 0], 25), ("scale", [sign, 1, 1])),
+                }
+                for k, (x, sign) in enumerate(((-1, 1), (1, -1)))
+            },
+        },
+        depth=4,
+        options=OWN,
+        **SLOW,
+    ),
+}
 
 PHASES = {
     "rayleigh": {"type": "rayleigh"},
@@ -224,8 +375,15 @@ CASES = {
 }
 
 
-LONG = ("boundary open water", "boundary sphere", "light pool", "light pool through glass", "light projector", "light sunsky",
-        "place light in a bubble")  # fmt: skip
+LONG = (
+    "boundary open water",
+    "boundary sphere",
+    "light pool",
+    "light pool through glass",
+    "light projector",
+    "light sunsky",
+    "place light in a bubble",
+)
 """Half a minute each, most of it for kernels: of a kind that others are of, too."""
 
 

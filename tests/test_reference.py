@@ -1,6 +1,8 @@
-"""The image that ``refscatter compare`` measures errors against, on the shipped scenes with a point light and their own meshes: against
-the float64 oracle, and against long photon beams, which take camera rays and boundaries from the package, but not how light comes to
-them. The figures stand in reports on these very scenes."""
+"""The image that ``refscatter compare`` measures errors against, on the shipped scenes with a point light.
+
+It is compared with the float64 oracle, and with long photon beams. These take camera rays and boundaries from the
+package, but not how light comes to them. The figures stand in reports on these very scenes, with their own meshes.
+"""
 
 import shutil
 from pathlib import Path
@@ -56,7 +58,10 @@ def test_reference_against_oracle(rgb, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", race.CHECKED)
 def test_reference_against_photon_beams(rgb, name):
-    """Bias of 40 clouds of beams over 2000 camera rays; what the radius blurs is in it and falls with it (rounded_cube: 7e-3 at 0.02, 4e-3 at 0.01)."""
+    """Bias of 40 clouds of beams over 2000 camera rays.
+
+    What the radius blurs is in it and falls with it (rounded_cube: 7e-3 at 0.02, 4e-3 at 0.01).
+    """
     scene, o, d = scene_and_rays(name, 2000)
     ours = build.single_scattering(scene, o, d, internal_bounces=0, tolerance=race.REFERENCE_TOLERANCE)
     beams = {**methods.METHODS["photon_beams"], "radius": 0.005, "internal_bounces": 0}
@@ -67,7 +72,7 @@ def test_reference_against_photon_beams(rgb, name):
 
 
 def test_a_scene_is_known_by_its_file_and_its_mesh(tmp_path):
-    """The shipped ones are known; with another light, another mesh under the same name, or another number of triangles none is."""
+    """The shipped ones are known; with another light, another mesh, or another number of triangles none is."""
     for name, known in race.CHECKED.items():
         assert race.checked(SHIPPED / name / "scene.xml") is known
         shutil.copytree(SHIPPED / name, tmp_path / name)

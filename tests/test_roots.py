@@ -45,8 +45,11 @@ def test_a_million_solves(rgb):
             f"{Status(k).name.lower()} {count / n:.2%}" for k, count in enumerate(roots.statuses) if count
         )
         mean = (evaluations * np.arange(len(evaluations))).sum() / n
-        print(f"eta {eta}: {n} solves, {len(uv) / len(found):.4f} roots per case, {found.mean():.4%} found, {twice} twice, "
-              f"largest miss {off.max():.1e}; {shares}; {mean:.2f} evaluations")  # fmt: skip
+        print(
+            f"eta {eta}: {n} solves, {len(uv) / len(found):.4f} roots per case, {found.mean():.4%} found, "
+            f"{twice} twice, "
+            f"largest miss {off.max():.1e}; {shares}; {mean:.2f} evaluations"
+        )
         assert found.mean() > 0.999
         # 1 and more: not lit, or from behind. At 5e-5 rad above the surface float32 once settles beside the root.
         assert off.max() < 1 and np.mean(off > 1e-3) <= 1e-5

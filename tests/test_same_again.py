@@ -1,4 +1,5 @@
-"""The same scene, seed and variant give the same image: in any chunks, with any number of threads, after changes to the scene."""
+"""The same scene, seed and variant give the same image: in any chunks, with any number of threads, after changes to
+the scene."""
 
 import build
 import drjit as dr
@@ -97,8 +98,8 @@ CHANGES = {
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_an_integrator_sees_what_changed(rgb, tmp_path, name):
-    """One integrator before and after a change of the scene, and back: as fresh ones. (Mitsuba itself makes other normals of vertices
-    that moved, there and back.)"""
+    """One integrator before and after a change of the scene, and back: as fresh ones. (Mitsuba itself makes other
+    normals of vertices that moved, there and back.)"""
     scene, one = load(tmp_path, "bumpy_sphere", 5120, 16), refscatter()
     key, value = CHANGES[name]
     key = next(
@@ -133,8 +134,11 @@ def test_an_obstacle_moves(rgb, tmp_path, kind):
         "bsdf": {"type": "diffuse"},
         "to_world": mi.ScalarTransform4f().translate(away) @ shape,
     }
-    parts["sensor"] = {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at([0, 1.1, 5.2], [0, 0, 0], [0, 1, 0]),
-                       "film": {"type": "hdrfilm", "width": 16, "height": 16}}  # fmt: skip
+    parts["sensor"] = {
+        "type": "perspective",
+        "to_world": mi.ScalarTransform4f().look_at([0, 1.1, 5.2], [0, 0, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 16, "height": 16},
+    }
     scene, one = mi.load_dict(parts, optimize=False), refscatter()
     lit, found = image(one, scene), []
     for there in (between, away):

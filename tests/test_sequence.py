@@ -19,7 +19,8 @@ def test_sobol_against_scipy(count):
 
 
 def numbers(made, batches, pixels, light_samples):
-    """The four numbers of the samples of pixels (pixels, samples, 4) as integers of 24 bits, and their light points' indices."""
+    """The four numbers of the samples of pixels (pixels, samples, 4) as integers of 24 bits, and their light
+    points' indices."""
     parts, which = [], []
     for batch in batches:
         n = pixels * batch.per_pixel
@@ -49,8 +50,8 @@ def test_a_pixel_has_one_sobol_sequence(per_pixel, light_samples):
 
 @pytest.mark.parametrize("per_pixel, light_samples", [(1, 16), (4, 16), (16, 16), (1, 64), (4, 128)])
 def test_all_light_points_of_a_pass_are_evenly_spread(per_pixel, light_samples):
-    """Rectangles of equal area, of every shape, hold as many of them as of the first points of the sequence; and those of two
-    passes are not the same."""
+    """Rectangles of equal area, of every shape, hold as many of them as of the first points of the sequence; and
+    those of two passes are not the same."""
     made = Sequence(5)
     pools = [made.shared(light_samples, Batch(k * per_pixel, per_pixel), 1)[0] for k in range(2)]
     plain = np.stack([sobol.sobol(np.arange(light_samples), k) / 2**32 for k in LIGHT], axis=-1)
@@ -65,7 +66,8 @@ def test_all_light_points_of_a_pass_are_evenly_spread(per_pixel, light_samples):
 
 
 def test_passes_may_grow():
-    """Where each sample has a light point of its own (one group of pixels), the sequence goes on whatever the passes' sizes."""
+    """Where each sample has a light point of its own (one group of pixels), the sequence goes on whatever the
+    passes' sizes."""
     sizes, made = (1, 1, 2, 4, 7, 5), Sequence(5)
     batches = [Batch(sum(sizes[:k]), size) for k, size in enumerate(sizes)]
     x = np.concatenate([numbers(made, [batch], 1, batch.per_pixel)[0] for batch in batches], axis=1)[0]

@@ -16,9 +16,9 @@ LAMP = (-2.6, 2.4, -0.9)
 @pytest.mark.parametrize("light", ["point", "sun"])
 @pytest.mark.parametrize("shape", ["convex", "concave"])
 def test_equals_ours_at_eta_one(tmp_path, shape, light):
-    """A boundary with the index 1 refracts by curves in ``refscatter`` (every zero of g is solved for), and lets light through
-    along the segment here. Where a concave body shadows itself the one finds the shadow's edge per light beam, the other
-    by bisection: rays along such edges may differ, their sum hardly."""
+    """A boundary with the index 1 refracts by curves in ``refscatter`` (every zero of g is solved for), and lets
+    light through along the segment here. Where a concave body shadows itself the one finds the shadow's edge per
+    light beam, the other by bisection: rays along such edges may differ, their sum hardly."""
     mesh = icosphere(3) if shape == "convex" else bumpy_sphere(4, 0.12, 6.0)
     lights = {"light": build.point_light(LAMP)} if light == "point" else {"sun": sun()}
     loaded = mi.load_dict({"type": "scene", **lights, "body": build.mesh_shape(mesh, tmp_path / "body.ply", eta=1.0)})
@@ -33,9 +33,14 @@ def test_equals_ours_at_eta_one(tmp_path, shape, light):
 
 
 def test_equals_the_formula_behind_refraction(tmp_path):
-    """The camera ray is refracted, light is not: a slab seen from above, against a float64 sum over the line of sight."""
-    slab = {"type": "cube", "bsdf": {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}, "to_world": mi.ScalarTransform4f().scale([40, 1, 40]),
-            "interior": {"type": "homogeneous", "sigma_t": 0.6, "albedo": 0.5}}  # fmt: skip
+    """The camera ray is refracted, light is not: a slab seen from above, against a float64 sum over the line of
+    sight."""
+    slab = {
+        "type": "cube",
+        "bsdf": {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0},
+        "to_world": mi.ScalarTransform4f().scale([40, 1, 40]),
+        "interior": {"type": "homogeneous", "sigma_t": 0.6, "albedo": 0.5},
+    }
     lamp = np.array([0.4, 3.0, -0.2])
     loaded = mi.load_dict({"type": "scene", "light": build.point_light(lamp, (7.0, 7.0, 7.0)), "slab": slab})
     o = np.tile([0.0, 5.0, 0.0], (50, 1))

@@ -31,7 +31,7 @@ def make(rgb, tmp_path):
 
 
 def test_the_readme_shows_the_list():
-    readme = Path(__file__).parent.parent / "README.md"
+    readme = Path(__file__).parent.parent / "mitsuba_refscatter" / "README.md"
     assert support.table() in readme.read_text(encoding="utf-8")
 
 
@@ -53,10 +53,20 @@ REFUSED = {
     "tint varies": lambda make: make.scene(ball=make.ball(bsdf=BOUNDARIES["texture"][0]())),
     "shines": lambda make: make.scene(ball=make.ball(emitter={"type": "area", "radiance": 1.0})),
     "shape": lambda make: make.scene(
-        other={"type": "sdfgrid", "grid": mi.TensorXf(np.linspace(-1, 1, 8, dtype=np.float32).reshape(2, 2, 2, 1)), "bsdf": glass(), "interior": amber()}
+        other={
+            "type": "sdfgrid",
+            "grid": mi.TensorXf(np.linspace(-1, 1, 8, dtype=np.float32).reshape(2, 2, 2, 1)),
+            "bsdf": glass(),
+            "interior": amber(),
+        }
     ),
     "to_world": lambda make: make.scene(
-        ball={"type": "sphere", "bsdf": glass(), "interior": amber(), "to_world": mi.ScalarTransform4f().scale([1, 1, 0.5])}
+        ball={
+            "type": "sphere",
+            "bsdf": glass(),
+            "interior": amber(),
+            "to_world": mi.ScalarTransform4f().scale([1, 1, 0.5]),
+        }
     ),
     "winding": lambda make: make.scene(ball=make.ball(with_faces(FLIPPED))),
     "crowded": lambda make: make.scene(ball=make.ball(with_fins(1))),
@@ -66,8 +76,13 @@ REFUSED = {
     "exterior": lambda make: make.scene(inner=make.ball(moved(BALL, 0.1, scale=0.4), eta=1.3)),
     "straight inside": lambda make: make.scene(
         ball=make.ball(interior={"type": "ref", "id": "around"}),
-        cloud={"type": "cube", "to_world": mi.ScalarTransform4f().scale(0.2), "bsdf": {"type": "null"}, "interior": amber(),
-               "exterior": {"type": "ref", "id": "around"}},
+        cloud={
+            "type": "cube",
+            "to_world": mi.ScalarTransform4f().scale(0.2),
+            "bsdf": {"type": "null"},
+            "interior": amber(),
+            "exterior": {"type": "ref", "id": "around"},
+        },
         a_medium={**amber(), "id": "around"},
     ),
     "camera medium": lambda make: make.scene(sensor=sensor((0.1, 0.1, 0.2))),
@@ -79,7 +94,7 @@ REFUSED = {
     "varies": lambda make: make.scene(ball=make.ball(interior=MEDIA["albedo varies"][0]())),
     "twice": lambda make: make.scene(integrator={"type": "refscatter", "inside": {"type": "volpath"}}),
     "gradients": with_gradients,
-}  # fmt: skip
+}
 """A scene for each entry."""
 
 
@@ -145,7 +160,8 @@ SUPPORTED = {
     "hg": [test_lights.test_airlight],
     "phase": [f"phase {name}" for name in real.PHASES],
 }
-"""Where each entry is compared with volpath, the oracle or a closed form: names of cases of ``test_real_scenes``, and tests."""
+"""Where each entry is compared with volpath, the oracle or a closed form: names of cases of ``test_real_scenes``,
+and tests."""
 
 
 def described(place):
@@ -163,7 +179,8 @@ def described(place):
 
 @pytest.mark.parametrize("key", support.SUPPORTED)
 def test_every_entry_is_compared(rgb, key):
-    """Each plugin and property that the entry names stands in one of its scenes; and what pytest runs are all of them."""
+    """Each plugin and property that the entry names stands in one of its scenes; and what pytest runs are all of
+    them."""
     places = SUPPORTED[key]
     tests = [place for place in places if not isinstance(place, str)]
     assert places and all(

@@ -11,7 +11,8 @@ HOMES = ("tolerances/", "options.py")
 """Where thresholds, and defaults and ranges of options, stand."""
 
 TOOLS = ("benchmarks/", "commands/", "probing/", "image_io.py", "platform.py")
-"""What measures, draws and writes. Its own settings have a name too, at the head of a module or as the default of an option."""
+"""What measures, draws and writes. Its own settings have a name too, at the head of a module or as the default of
+an option."""
 
 SHAPES = ("example_scenes/",)
 """Bodies and scenes made by code: their numbers are lengths and places."""
@@ -36,7 +37,7 @@ NAMED = {
     ("geometry/triangle.py", "RECORD"): "numbers of a record",
     ("core/arrays.py", "ALIGNMENT"): "Dr.Jit's",
     ("core/arrays.py", "NONE"): "an index that means none",
-    ("scene/__init__.py", "ONCE"): "two counts in one number",
+    ("scene/records.py", "ONCE"): "two counts in one number",
     ("light/simplification.py", "QUARTER"): "steps of a ladder",
     ("light/light_samples.py", "BELOW_ONE"): "float32's",
     ("scene/tessellation.py", "FREQUENCY_EDGE"): "geometry of the sphere",
@@ -146,8 +147,12 @@ def test_exceptions_occur():
 
 def test_every_threshold_has_a_reason_and_a_use():
     """A text right behind each, and some module that asks for it."""
-    used = {node.attr for path in modules("tolerances/").values() for node in ast.walk(ast.parse(path.read_text("utf-8")))
-            if isinstance(node, ast.Attribute)}  # fmt: skip
+    used = {
+        node.attr
+        for path in modules("tolerances/").values()
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Attribute)
+    }
     seen = set()
     for path in sorted((PACKAGE / "tolerances").glob("*.py")):
         body = ast.parse(path.read_text(encoding="utf-8")).body
@@ -167,8 +172,10 @@ def test_every_threshold_has_a_reason_and_a_use():
 
 def test_the_walk_finds_what_it_should():
     source = (
-        "import drjit as dr\nA = 0.5\nB, C = 3, (1, 2)\n_D = 1 << 16\nE = tolerances.E * 2\nF: float = -1e-3\nG = ((1, 2), (3, 4))\n"
-        "def f(x, y=0.01):\n    z = 1e-6 * x / dr.maximum(x, 1e-30) + max(x, 1e-7) + 1e-30\n    return 0.04 if x < 0.06 else 2e5\n"
+        "import drjit as dr\nA = 0.5\nB, C = 3, (1, 2)\n_D = 1 << 16\nE = tolerances.E * 2\nF: float = "
+        "-1e-3\nG = ((1, 2), (3, 4))\n"
+        "def f(x, y=0.01):\n    z = 1e-6 * x / dr.maximum(x, 1e-30) + max(x, 1e-7) + 1e-30\n    return 0.04 if "
+        "x < 0.06 else 2e5\n"
         "h = lambda x: x > 0.02\n"
     )
     assert named(source) == ["A", "B", "C", "_D", "F"]

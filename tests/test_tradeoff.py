@@ -35,7 +35,10 @@ def test_tradeoff_writes_results_and_a_picture(tmp_path):
 
 
 def test_every_choice_is_switched():
-    """The choices are all that the tolerance decides for the curve, each in one place, and each switched differs from the default."""
+    """The choices are all that the tolerance decides for the curve, each in one place.
+
+    Each that is switched differs from the default.
+    """
     names = [name for choice in tradeoff.CHOICES.values() for name in choice]
     assert sorted([*names, *OTHERS]) == sorted(field.name for field in dataclasses.fields(tolerances.Accuracy))
     every = tradeoff.settings(tradeoff.Setup("llvm_ad_rgb"))

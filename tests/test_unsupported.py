@@ -49,7 +49,8 @@ def checkerboard():
 
 
 def bitmap(channels):
-    """A texture with derivatives: Dr.Jit calls BSDFs of all scenes in memory, and one without them ends the tests that come after."""
+    """A texture with derivatives: Dr.Jit calls BSDFs of all scenes in memory, and one without them ends the tests
+    that come after."""
     return {"type": "bitmap", "raw": True, "data": mi.TensorXf(np.full((2, 2, channels), 0.5))}
 
 

@@ -191,8 +191,8 @@ def surfaces(name, directory, replicates, spp):
 
 
 def surfaces_by_volpath(name, directory, replicates, spp):
-    """``max_depth`` = 40: a path that is reflected inside 30 times and comes out keeps less than 1e-5 of its light (0.2 per
-    unit length)."""
+    """``max_depth`` = 40: a path that is reflected inside 30 times and comes out keeps less than 1e-5 of its light
+    (0.2 per unit length)."""
     volpath = {"type": "volpath", "max_depth": 40, "rr_depth": 1000}
     return renders(glass_scene(name, directory, volpath, "independent"), replicates, spp)
 

@@ -1,166 +1,174 @@
-"""``refscatter equal-error``: time to a given error of the image for lights that are neither points nor directions.
+"""Time to a given error of the image, for lights that are neither points nor directions: ``refscatter equal-error``.
 
-The body of ``bumpy_sphere`` and its view, lit by a sphere of several radii in place of the point light, all of the same
-power, and by the environment map of ``amber``. Error of an image: the relative L1 difference sum|a - b| / sum b to its mean
-over many seeds, and its bias, added as squares. Ours is rendered with more and more samples until the error is reached.
-``volpath``, restricted to the same light paths, would take days: its error falls with the square root of its samples, and
-once pixels hold many paths it is sqrt(2 / pi) times the standard deviation. So its time is computed from the variances
-between shorter renders. For smaller radii it is extrapolated from the smallest that was rendered: a path meets the light with
-a probability that falls with the square of its radius and then brings as much more, so variance and time grow with 1 / radius^2.
+The body of ``bumpy_sphere`` and its view are lit by a sphere in place of the point light, of several radii and the same
+power. They are also lit by the environment map of ``amber``. The error of an image has two parts, added as squares. One
+is the relative L1 difference, sum |a - b| / sum b, to the mean over many seeds. The other is the bias.
+
+Ours is rendered with more and more samples until the error is reached. ``volpath``, restricted to the same light
+paths, would take days, so its time is computed from the variances between shorter renders. Its error falls with the
+square root of its samples. Once pixels hold many paths it is sqrt(2 / pi) times the standard deviation.
+
+For smaller radii that time is extrapolated from the smallest that was rendered. A path meets the light with a
+probability that falls with the square of its radius, and then brings as much more. So variance and time grow with 1 /
+radius^2.
 """
+
+from __future__ import annotations
 
 import math
 import statistics
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from .. import example_scenes as scene_files
-from . import results
+import mitsuba as mi
+import numpy as np
+
+from .. import example_scenes
+from . import methods, metrics, plotting, results, timing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 BODY, STUDIO_SCENE = "bumpy_sphere", "amber"
-DEPTH = 4
-"""``max_depth`` of ``volpath``: camera, into the body, scattering, out of the body, light."""
 BIAS_TOLERANCE = 1e-4
 """Tolerance of the image that ours is compared with, at the same light points, to tell its bias."""
 SAMPLES = [16, 48, 64, 80, 144, 224, 256, 288, 400, 576, 784, 1024, 1600, 2304, 4096, 9216, 16384]
-"""Samples per pixel of ours: products of two numbers that are nearly equal, as the sampler wants them, and multiples of 16, since
-a pass then has 16 in each of 128 x 128 pixels."""
+"""Samples per pixel of ours: products of two numbers that are nearly equal, as the sampler wants them. They are
+multiples of 16, since a pass then has 16 in each of 128 x 128 pixels."""
 BLOCK = 8
 """Edge in pixels of blocks over which the variance of ``volpath`` relative to the image is averaged."""
+FEWEST = 8
+"""Renders of ``volpath`` from which its variance is told, at least."""
 RATE = 0.75
 """Power of the number of samples with which our error falls, about; decides which number is tried next."""
-OURS = {"surfaces": False, "internal_bounces": 0}
-"""The light paths that ``volpath`` with ``DEPTH`` has."""
 SAMPLER = "multijitter"
-"""Of ``volpath``: stratified in the pixels."""
-
-
+"""Of all renders of ``volpath``: stratified in the pixels."""
 OTHER_ROWS = 4
-"""Of results, besides one for each of the ``Setup.radii``: ``volpath`` and ours at ``Setup.radius`` and under the sky."""
+"""Rows besides one for each of the ``Setup.radii``: ``volpath`` and ours, at ``Setup.radius`` and under the sky."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What is measured. ``radii``: of sphere lights for which ``volpath`` is rendered; ``radius``: of the one for which it is
-    extrapolated; ``seconds``: for which ``volpath`` renders each light; ``replicates``: of our renders."""
+    """What is measured.
+
+    variant     Mitsuba's
+    triangles   of the body, about
+    resolution  pixels on a side
+    error       that is wanted
+    tolerance   of ours
+    radii       of sphere lights for which ``volpath`` is rendered, in the scene's unit
+    radius      of the sphere light for which it is extrapolated
+    seconds     for which ``volpath`` renders each light
+    replicates  renders of ours for each light
+    samples     per pixel, of one render of ``volpath``
+    """
 
     variant: str
     triangles: int = 5120
     resolution: int = 128
     error: float = 0.01
     tolerance: float = 0.01
-    radii: tuple = (0.4, 0.2, 0.1)
+    radii: tuple[float, ...] = (0.4, 0.2, 0.1)
     radius: float = 0.05
     seconds: float = 40.0
     replicates: int = 2
     samples: int = 64
 
 
-def run(setup, report=lambda row: None):
+def run(setup: Setup, report: Callable = lambda row: None) -> list[dict]:
     """Rows of results, ``volpath`` and ``refscatter`` for each light; ``report(row)`` is called after each.
 
-    Own keys: ``light``, ``radius``, ``error``, ``seconds_to_error``, ``extrapolated``; and ``speedup`` of ours.
+    Rows have keys of their own: ``light``, ``radius`` (None: the environment map), ``error``, ``seconds_to_error``,
+    ``extrapolated``; and ``speedup``, of ours.
     """
-    import mitsuba as mi
-
     mi.set_variant(setup.variant)
-    import mitsuba_refscatter  # noqa: F401 - registers the plugin
-
     rows = []
 
-    def add(row):
-        rows.append(row)
-        report(row)
+    def add(method, radius, measured):
+        rows.append(_row(setup, scenes, method, radius, measured))
+        report(rows[-1])
 
     with tempfile.TemporaryDirectory() as directory:
         scenes = _Scenes(setup, Path(directory))
         for radius in sorted(setup.radii, reverse=True):
-            add(_row(setup, scenes, "volpath", radius, **_volpath(setup, scenes, radius)))
+            add("volpath", radius, _volpath(setup, scenes, radius))
         for radius in (setup.radius, None):
             theirs = _volpath(setup, scenes, radius) if radius is None else _extrapolated(rows, radius)
-            add(_row(setup, scenes, "volpath", radius, **theirs))
+            add("volpath", radius, theirs)
             ours = _refscatter(setup, scenes, radius)
             if ours["seconds_to_error"] is not None:
                 ours["speedup"] = theirs["seconds_to_error"] / ours["seconds_to_error"]
-            add(_row(setup, scenes, "refscatter", radius, **ours))
+            add("refscatter", radius, ours)
     return rows
 
 
 class _Scenes:
-    """The body and its view under some light."""
+    """The body and its view under some light, made in a directory that must stay."""
 
-    def __init__(self, setup, directory):
-        import mitsuba as mi
-        import numpy as np
-
-        path, self.triangles = scene_files.write_scene(BODY, directory / BODY, setup.triangles)
-        scene_files.write_scene(STUDIO_SCENE, directory / STUDIO_SCENE, 20)
-        self._studio = directory / STUDIO_SCENE / scene_files.STUDIO
+    def __init__(self, setup: Setup, directory: Path):
+        path, self.triangles = example_scenes.write_scene(BODY, directory / BODY, setup.triangles)
+        example_scenes.write_scene(STUDIO_SCENE, directory / STUDIO_SCENE, 20)
+        self._studio = directory / STUDIO_SCENE / example_scenes.STUDIO
         path.write_text(path.read_text().replace('sampler type="independent"', f'sampler type="{SAMPLER}"'))
-        base, clear = (scene_files.load(path, res=str(setup.resolution)) for _ in range(2))
-        self._sensor, point = base.sensors()[0], mi.traverse(base.emitters()[0])
-        self._position, self._intensity = (np.array(point[key]).ravel() for key in ("position", "intensity.value"))
-        parameters = mi.traverse(clear)
-        parameters["body.interior_medium.albedo.value.value"] = mi.Color3f(0)
-        parameters.update()
+        base, clear = (example_scenes.load(path, res=str(setup.resolution)) for _ in range(2))
+        methods.without_scattering(clear)
+        self.tolerance, self.sensor = setup.tolerance, base.sensors()[0]
+        self._point = methods.position_and_intensity(base.emitters()[0])
         self._bodies = [next(s for s in scene.shapes() if s.id() == "body") for scene in (base, clear)]
 
-    def light(self, radius):
+    def light(self, radius: float | None) -> dict:
         """A sphere of a radius, or without one the environment map."""
         if radius is None:
             return {"type": "envmap", "filename": str(self._studio)}
-        radiance = self._intensity / (math.pi * radius**2)
-        return {"type": "sphere", "center": self._position.tolist(), "radius": radius,
-                "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance.tolist()}}}  # fmt: skip
+        return methods.sphere_light(*self._point, radius)
 
-    def load(self, radius, integrator, scatters=True):
-        """``mi.Scene``; ``scatters``: False for the same with albedo 0."""
-        import mitsuba as mi
-
-        parts = {"type": "scene", "integrator": integrator, "sensor": self._sensor}
+    def load(self, radius: float | None, integrator: dict, scatters: bool = True) -> mi.Scene:
+        """The scene under a light; with albedo 0 unless it ``scatters``."""
+        parts = {"type": "scene", "integrator": integrator, "sensor": self.sensor}
         return mi.load_dict({**parts, "body": self._bodies[not scatters], "light": self.light(radius)}, optimize=False)
 
-    def ours(self, setup, radius, **options):
-        return self.load(radius, {"type": "refscatter", **OURS, "tolerance": setup.tolerance, **options})
+    def ours(self, radius: float | None, tolerance: float | None = None) -> mi.Scene:
+        """The scene under a light, with ``refscatter`` at a tolerance, or at that of the setup."""
+        tolerance = self.tolerance if tolerance is None else tolerance
+        return self.load(radius, methods.single_scattering("refscatter", 0, tolerance))
 
 
 def _image(scene, seed, samples):
     """Image (H, W, 3) in float64, and the seconds that it took."""
-    import numpy as np
-
-    start = time.perf_counter()
-    image = np.array(scene.integrator().render(scene, seed=seed, spp=samples), dtype=np.float64)[..., :3]
-    return image, time.perf_counter() - start
+    image, seconds = timing.image_and_seconds(lambda: scene.integrator().render(scene, seed=seed, spp=samples))
+    return image[..., :3], seconds
 
 
 def _spread(images):
     """Mean relative L1 difference of each image from the mean of the others, but for the noise of that mean."""
-    import numpy as np
-
     n = len(images)
     others = (images.sum(axis=0) - images) / (n - 1)
-    return float(np.abs(images - others).sum() / images.sum() * ((n - 1) / n) ** 0.5)
+    return metrics.mean_relative_error(images, others) * ((n - 1) / n) ** 0.5
 
 
 def _volpath(setup, scenes, radius):
-    """Error and time of ``volpath``. Its unscattered light is subtracted with the same seeds, where it is the same; only the
-    render with scattering is timed. ``bias``: of the image means, against ours, and that in standard errors."""
-    import numpy as np
+    """Error and time of ``volpath``.
 
-    integrator = {"type": "volpath", "max_depth": DEPTH, "rr_depth": 1000}
+    Its unscattered light is rendered with the same seeds, with which it is the same, and subtracted. Only the render
+    with scattering is timed. The ``bias`` is that of the image means, against ours; it is told in standard errors,
+    too.
+    """
+    integrator = methods.volpath(scenes.sensor)
     scene, clear = scenes.load(radius, integrator), scenes.load(radius, integrator, scatters=False)
     for warm_up in (scene, clear):
         _image(warm_up, 0, setup.samples)
     images, times, start = [], [], time.perf_counter()
-    while len(images) < 8 or time.perf_counter() - start < setup.seconds:
+    while len(images) < FEWEST or time.perf_counter() - start < setup.seconds:
         seed = 1 + len(images)
         image, seconds = _image(scene, seed, setup.samples)
         images.append(image - _image(clear, seed, setup.samples)[0])
         times.append(seconds)
     images, seconds = np.array(images), statistics.median(times)
-    ours = scenes.ours(setup, radius)
+    ours = scenes.ours(radius)
     images_of_ours = np.array([_image(ours, 1 + k, SAMPLES[0])[0] for k in range(setup.replicates)])
     truth = images_of_ours.mean(axis=(1, 2, 3))
     means = images.mean(axis=(1, 2, 3))
@@ -168,18 +176,19 @@ def _volpath(setup, scenes, radius):
     deviation = _deviation(images.var(axis=0, ddof=1), images_of_ours.mean(axis=0))
     error = float((2 / np.pi) ** 0.5 * deviation.mean() / truth.mean())
     return dict(
-        samples=setup.samples, wall_seconds=seconds, mean_relative_error=error, bias=float(means.mean() / truth.mean() - 1),
+        samples=setup.samples, wall_seconds=seconds, mean_relative_error=error,
+        bias=float(means.mean() / truth.mean() - 1),
         bias_in_standard_errors=float((means.mean() - truth.mean()) / noise),
         seconds_to_error=seconds * (error / setup.error) ** 2, extrapolated=False,
     )  # fmt: skip
 
 
 def _deviation(variance, truth):
-    """Standard deviation of each pixel from noisy variances: in a block of pixels they are taken to be proportional to the
-    image, as those of the number of paths that find the light are. Those of single pixels with few paths are mostly too
-    small, and their roots even more."""
-    import numpy as np
+    """Standard deviation of each pixel from noisy variances (H, W, 3).
 
+    Variances are taken to be proportional to the image in a block of pixels, as is the number of paths that find the
+    light. Those of single pixels with few paths are mostly too small, and their roots even more.
+    """
     height, width, _ = truth.shape
     y, x = np.indices((height, width))
     block = (y // BLOCK * width + x // BLOCK).ravel()
@@ -199,16 +208,14 @@ def _extrapolated(rows, radius):
 
 def _refscatter(setup, scenes, radius):
     """Error and time of ours, with more and more samples until the error is reached."""
-    import numpy as np
-
-    usual, exact = scenes.ours(setup, radius), scenes.ours(setup, radius, tolerance=BIAS_TOLERANCE)
+    usual, exact = scenes.ours(radius), scenes.ours(radius, BIAS_TOLERANCE)
     for _ in range(2):  # the first compiles
         a, b = (_image(scene, 0, 1)[0] for scene in (usual, exact))
-    bias = float(np.abs(a - b).sum() / b.sum())
+    difference = metrics.mean_relative_error(a, b)
     samples = SAMPLES[0]
     while True:
         images, times = zip(*(_image(usual, 1 + k, samples) for k in range(setup.replicates)))
-        error = math.hypot(_spread(np.array(images)), bias)
+        error = math.hypot(_spread(np.array(images)), difference)
         more = [n for n in SAMPLES if n > samples]
         if error <= setup.error or not more:
             break
@@ -216,42 +223,39 @@ def _refscatter(setup, scenes, radius):
         samples = next((n for n in more if n >= 0.9 * wanted), more[-1])
     seconds = statistics.median(times)
     return dict(
-        samples=samples, wall_seconds=seconds, mean_relative_error=error, bias=float(a.sum() / b.sum() - 1),
+        samples=samples, wall_seconds=seconds, mean_relative_error=error, bias=metrics.bias(a, b),
         seconds_to_error=seconds if error <= setup.error else None, extrapolated=False,
     )  # fmt: skip
 
 
-def _row(setup, scenes, method, radius, **measured):
-    settings = {**OURS, "resolution": setup.resolution, "tolerance": setup.tolerance}
+def _row(setup, scenes, method, radius, measured):
+    """A row of results, of what was measured of a method under a light."""
+    settings = methods.single_scattering("refscatter", 0, setup.tolerance)
+    if method == "volpath":
+        settings = {"type": "volpath", "max_depth": methods.depth(scenes.sensor)}
     return {
         **results.row(scene=BODY, method=method, variant=setup.variant, triangles=scenes.triangles,
-                      settings=settings if method == "refscatter" else {"max_depth": DEPTH, "resolution": setup.resolution}),
+                      settings={**settings, "resolution": setup.resolution}),
         "light": "envmap" if radius is None else "sphere", "radius": radius, "error": setup.error, **measured,
     }  # fmt: skip
 
 
-def plot(rows, path):
-    """Seconds to the error against the radius of the sphere light; as PNG."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, panel = pyplot.subplots(figsize=(5.5, 4), layout="constrained")
+def figure(rows: list[dict]) -> Figure:
+    """Seconds to the error over the radius of the sphere light."""
+    drawn, ((panel,),) = plotting.subplots(size=(5.5, 4))
+    plotting.log_axes(
+        panel,
+        title=f"{BODY}, hollow mark: extrapolated",
+        xlabel="radius of the sphere light",
+        ylabel=f"seconds to {rows[0]['error']:.0%} error",
+    )
     for method, marker in (("volpath", "s"), ("refscatter", "o")):
         spheres = [row for row in rows if row["method"] == method and row["radius"] and row["seconds_to_error"]]
         spheres.sort(key=lambda row: row["radius"])
-        (line,) = panel.loglog(
-            [row["radius"] for row in spheres], [row["seconds_to_error"] for row in spheres], label=method
-        )
-        for row in spheres:
+        places = [(row["radius"], row["seconds_to_error"]) for row in spheres]
+        (line,) = panel.plot([x for x, _ in places], [y for _, y in places], label=method)
+        for row, place in zip(spheres, places):
             face = "white" if row["extrapolated"] else line.get_color()
-            panel.plot(
-                row["radius"], row["seconds_to_error"], marker=marker, color=line.get_color(), markerfacecolor=face
-            )
-    panel.set(xlabel="radius of the sphere light", ylabel=f"seconds to {rows[0]['error']:.0%} error",
-              title="bumpy_sphere, hollow mark: extrapolated")  # fmt: skip
-    panel.grid(alpha=0.3)
+            panel.plot(*place, marker=marker, color=line.get_color(), markerfacecolor=face)
     panel.legend()
-    figure.savefig(path, dpi=120)
-    pyplot.close(figure)
+    return drawn

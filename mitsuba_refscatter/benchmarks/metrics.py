@@ -1,13 +1,20 @@
-"""How far an image is from a reference. All take linear images (H, W, 3) of finite numbers, of any unit, and give numbers
-without one; ``ValueError`` where sizes differ or numbers are not finite. FLIP is NVIDIA's own."""
+"""How far an image is from a reference.
+
+All functions take linear images (H, W, 3) of finite numbers, in any unit, and return numbers without a unit. They
+raise ``ValueError`` where sizes differ or numbers are not finite, where they divide pixel by pixel. FLIP is NVIDIA's
+own code.
+"""
+
+from __future__ import annotations
 
 import numpy as np
 
 DARK = 0.01
-"""Relative to the mean of the reference: what it is at least where errors are divided by it."""
+"""What the reference is at least where errors are divided by it, relative to its mean."""
 
 
 def _relative(image, reference):
+    """(a - b) / max(b, 0.01 mean b), pixel by pixel."""
     image, reference = (np.asarray(x, dtype=np.float64) for x in (image, reference))
     if image.shape != reference.shape:
         raise ValueError(f"images of different sizes, {image.shape} and {reference.shape}")
@@ -16,7 +23,7 @@ def _relative(image, reference):
     return (image - reference) / np.maximum(reference, DARK * reference.mean())
 
 
-def relmse(image, reference):
+def relmse(image: np.ndarray, reference: np.ndarray) -> float:
     """Mean of ((a - b) / max(b, 0.01 mean b))^2 over pixels and colours.
 
     >>> reference = np.full((2, 2, 3), 4.0)
@@ -26,8 +33,8 @@ def relmse(image, reference):
     return float(np.square(_relative(image, reference)).mean())
 
 
-def mean_relative_error(image, reference):
-    """sum |a - b| / sum b.
+def mean_relative_error(image: np.ndarray, reference: np.ndarray) -> float:
+    """The relative L1 difference, sum |a - b| / sum b.
 
     >>> mean_relative_error(np.array([[[1.5, 1.0, 0.5]]]), np.ones((1, 1, 3)))
     0.3333333333333333
@@ -35,13 +42,13 @@ def mean_relative_error(image, reference):
     return float(np.abs(np.subtract(image, reference, dtype=np.float64)).sum() / np.sum(reference, dtype=np.float64))
 
 
-def p99_relative_error(image, reference):
+def p99_relative_error(image: np.ndarray, reference: np.ndarray) -> float:
     """99th percentile of |a - b| / max(b, 0.01 mean b) over pixels and colours."""
     return float(np.percentile(np.abs(_relative(image, reference)), 99))
 
 
-def bias(image, reference):
-    """sum a / sum b - 1.
+def bias(image: np.ndarray, reference: np.ndarray) -> float:
+    """The relative difference of the sums, sum a / sum b - 1.
 
     >>> bias(np.array([[[1.5, 1.0, 0.5]]]), np.ones((1, 1, 3)))
     0.0
@@ -49,13 +56,13 @@ def bias(image, reference):
     return float(np.sum(image, dtype=np.float64) / np.sum(reference, dtype=np.float64) - 1)
 
 
-def relative_error(image, reference):
-    """The map of which ``relmse`` and ``p99_relative_error`` are summaries: the largest of the colours (H, W)."""
+def relative_error(image: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """The map (H, W) that ``relmse`` and ``p99_relative_error`` summarise: the largest error of the colours."""
     return np.abs(_relative(image, reference)).max(axis=-1)
 
 
-def flip(image, reference):
-    """Mean HDR-FLIP (Andersson et al. 2021): what an observer sees of the difference, 0 to 1, at the exposures that it chooses."""
+def flip(image: np.ndarray, reference: np.ndarray) -> float:
+    """Mean HDR-FLIP (Andersson et al. 2021), 0 to 1: what an observer sees of the difference, at several exposures."""
     import flip_evaluator
 
     reference, image = (np.ascontiguousarray(x, dtype=np.float32) for x in (reference, image))
@@ -63,6 +70,6 @@ def flip(image, reference):
     return float(mean)
 
 
-def all_of(image, reference):
+def all_of(image: np.ndarray, reference: np.ndarray) -> dict[str, float]:
     """All of the summaries, under the names of ``results.ROW``."""
     return {f.__name__: f(image, reference) for f in (relmse, mean_relative_error, p99_relative_error, bias, flip)}

@@ -1,9 +1,13 @@
 """The form of all measured results: ``results.json`` = {schema, version, machine, rows}."""
 
+from __future__ import annotations
+
 import json
 import os
 import platform as host
 from pathlib import Path
+
+import mitsuba_refscatter
 
 from .. import image_io
 
@@ -16,7 +20,7 @@ ROW = (
 """What every row has; null where it was not measured. Commands add keys of their own."""
 
 
-def row(**values):
+def row(**values) -> dict:
     """A row with all keys of ``ROW``.
 
     >>> found = row(scene="sphere", light="envmap")
@@ -26,7 +30,7 @@ def row(**values):
     return {**dict.fromkeys(ROW), **values}
 
 
-def machine():
+def machine() -> dict:
     """What the figures were measured on."""
     name = host.processor() or host.machine()
     try:
@@ -37,10 +41,8 @@ def machine():
     return {"processor": name, "cores": os.cpu_count(), "system": host.platform()}
 
 
-def write(directory, rows):
-    """Writes ``results.json`` (beside it first, then renamed); returns its path."""
-    import mitsuba_refscatter
-
+def write(directory: str | Path, rows: list[dict]) -> Path:
+    """Write ``results.json`` to a directory, beside it first and then renamed; return its path."""
     path = Path(directory) / "results.json"
     data = {"schema": SCHEMA, "version": mitsuba_refscatter.__version__, "machine": machine(), "rows": rows}
     image_io.write_file(

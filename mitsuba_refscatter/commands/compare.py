@@ -1,4 +1,4 @@
-"""The commands ``refscatter compare`` and ``refscatter gallery``."""
+"""The commands that put methods side by side: ``refscatter compare`` and ``refscatter gallery``."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Optional
 
+import mitsuba as mi
+import numpy as np
 import typer
 
 from .. import image_io
@@ -15,7 +17,22 @@ from ..benchmarks import duel, race, report, results
 from ..benchmarks import gallery as galleries
 from ..benchmarks import suite as suites
 from ..benchmarks.methods import METHODS
-from .console import QUIET, Failure, cause, defines, known, load, measurable, out, plainly, progress, require, table
+from .console import (
+    DEFINE,
+    QUIET,
+    Failure,
+    defines,
+    load,
+    measurable,
+    name_of,
+    out,
+    plainly,
+    progress,
+    require,
+    require_known,
+    table,
+    told_by_mitsuba,
+)
 
 app = typer.Typer()
 
@@ -47,7 +64,7 @@ def compare(
     ),
     resolution: int = typer.Option(128, "--resolution", min=1, help="Pixels on a side, of the suite's scenes."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant (rgb)."),
-    define: list[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),
+    define: list[str] = DEFINE,
     quiet: bool = QUIET,
 ):
     """Compare methods on a scene at equal time.
@@ -56,26 +73,19 @@ def compare(
     """
     if suite == (scene is not None):
         raise typer.BadParameter("give a scene file or --suite", param_hint="SCENE")
-    methods = known([name.strip() for name in names.split(",")], METHODS, "--methods", "method")
+    methods = require_known([name.strip() for name in names.split(",")], METHODS, "--methods", "method")
     require("matplotlib", "flip_evaluator")
     variant = measurable(variant, directory)
     if not variant.endswith("_rgb"):
         raise typer.BadParameter(f"errors are those of rgb images, not of {variant}", param_hint="-m")
-    import mitsuba as mi
-
     mi.set_variant(variant)
-    import mitsuba_refscatter  # noqa: F401 - registers the plugins
-
     values, setup = defines(define), race.Setup(variant, seconds, bounces, tolerance, equal_quality)
     if scene is None:
         _suite(directory, methods, setup, resolution, quiet)
         return
-    name = scene.resolve().parent.name if scene.stem == "scene" else scene.stem
-    try:
-        subject = replace(duel.Subject.of(name, lambda: load(scene, values)), checked=race.checked(scene))
+    with told_by_mitsuba():
+        subject = replace(duel.Subject.of(name_of(scene), lambda: load(scene, values)), checked=race.checked(scene))
         outcome = _run(subject, methods, setup, quiet, None if reference is None else _image_at(reference))
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise Failure(cause(error)) from error
     _write(directory, [outcome], quiet)
 
 
@@ -95,15 +105,10 @@ def gallery(
     """
     require("matplotlib", "flip_evaluator")
     variant = measurable(variant, directory)
-    import mitsuba as mi
-
     mi.set_variant(variant)
-    import mitsuba_refscatter  # noqa: F401 - registers the plugins
-
     with progress("gallery", None, quiet) as tell:
-        for path in galleries.write(
-            directory, size, samples, variant, seconds, lambda name: tell(0, f"gallery: {name}")
-        ):
+        setup = race.Setup(variant, seconds)
+        for path in galleries.write(directory, size, samples, setup, lambda name: tell(0, f"gallery: {name}")):
             if not quiet:
                 out.print(str(path), markup=False)
 
@@ -122,9 +127,6 @@ def _suite(directory, methods, setup, resolution, quiet):
 
 def _image_at(path):
     """The main image (H, W, 3) of an EXR."""
-    import mitsuba as mi
-    import numpy as np
-
     try:
         bitmap = mi.Bitmap(str(path))
     except RuntimeError as error:

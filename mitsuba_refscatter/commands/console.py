@@ -1,4 +1,4 @@
-"""What all commands share: consoles, tables, progress bars, and errors told in one sentence."""
+"""What all commands share: consoles, tables, progress bars, options, loading scenes, errors told in one sentence."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ import re
 import signal
 import sys
 import traceback
+from collections.abc import Collection
 from pathlib import Path
 from typing import Optional
 
+import mitsuba as mi
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from .. import example_scenes as scene_files
-from .. import image_io, platform
+from .. import example_scenes, image_io, missing, platform
 from ..core.spelling import advice, near
 from . import meshcheck
 
@@ -31,6 +32,7 @@ debug = False
 UsageError = typer.BadParameter.__bases__[0]
 """Click's, or that of the copy of it that newer versions of typer hold."""
 QUIET = typer.Option(False, "--quiet", help="Print errors only.")
+DEFINE = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene.")
 
 
 class Failure(Exception):
@@ -52,8 +54,7 @@ def stop_on_sigterm() -> None:
 
 @contextlib.contextmanager
 def logged_on_stderr():
-    """What Mitsuba logs goes to stderr meanwhile, as it is said; its own log is on stdout, where results are."""
-    import mitsuba as mi
+    """Let what Mitsuba logs meanwhile go to stderr, as it is said; its own log is on stdout, where results are."""
 
     class Stderr(mi.Appender):
         def append(self, level, text):
@@ -87,8 +88,9 @@ _EXPECTED = (
     platform.PlatformError,
     image_io.OutputError,
     meshcheck.MeshError,
-    scene_files.BodyError,
+    example_scenes.BodyError,
 )
+"""Errors whose message is all that a user needs."""
 
 
 def plainly(command):
@@ -128,17 +130,18 @@ def tell_usage(error) -> None:
 
 
 def require(*modules: str) -> None:
-    """``Failure`` with what to install where some of these are missing; it fits a checkout and an installed wheel alike.
+    """``Failure`` with what to install where some of these are missing.
 
-    pip takes the names of modules here: an underscore is a hyphen to it.
+    The advice fits a checkout and an installed wheel alike. pip takes the names of modules here, as an underscore is a
+    hyphen to it.
     """
-    missing = [name for name in modules if importlib.util.find_spec(name) is None]
-    if missing:
-        raise Failure(f"this needs {' and '.join(missing)}: {sys.executable} -m pip install {' '.join(missing)}")
+    absent = [name for name in modules if importlib.util.find_spec(name) is None]
+    if absent:
+        raise Failure(f"this needs {' and '.join(absent)}: {sys.executable} -m pip install {' '.join(absent)}")
 
 
-def known(names: list[str], known, option: str, kind: str) -> list[str]:
-    """The names, each once, if all of them are known."""
+def require_known(names: list[str], known: Collection[str], option: str, kind: str) -> list[str]:
+    """The names that an option was given, each once, if all of them are known; ``kind``: what they are names of."""
     for name in names:
         if name not in known:
             raise typer.BadParameter(f"there is no {kind} '{name}': {advice(name, known)}", param_hint=option)
@@ -149,8 +152,6 @@ def measurable(variant: Optional[str], directory: Optional[Path]) -> str:
     """The variant to measure in, once it is certain that it runs and that results can be written."""
     variant = variant or platform.default_variant()
     platform.require_usable(variant)
-    from .. import missing
-
     missing.silent = True
     if directory is not None:
         image_io.directory(directory)
@@ -167,12 +168,22 @@ def table(*headings: str) -> Table:
 
 @contextlib.contextmanager
 def progress(what: str, total: Optional[float] = 1.0, quiet: bool = False):
-    """A bar on stderr with the time left, gone at the end; none where that is no terminal.
+    """Show a bar on stderr with the time left, gone at the end; none where that is no terminal.
 
-    Gives ``tell(completed, what)``: how much of ``total`` is done (None: not known how much there is), and of what, if that changes.
+    what   that is done, as the bar shows it
+    total  work that there is, None if that is not known
+    quiet  whether there is no bar
+
+    Gives ``tell(completed, what)``: how much of ``total`` is done, and of what, if that changes.
     """
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"),
-               TimeRemainingColumn())  # fmt: skip
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=err, disable=quiet or not err.is_terminal, transient=True) as bar:
         task = bar.add_task(escape(what), total=total)
 
@@ -199,6 +210,15 @@ def cause(error: BaseException) -> str:
     return text or type(error).__name__
 
 
+@contextlib.contextmanager
+def told_by_mitsuba():
+    """Turn what Mitsuba and this package raise for a scene or its options into a ``Failure``."""
+    try:
+        yield
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise Failure(cause(error)) from error
+
+
 def defines(pairs: list[str]) -> dict[str, str]:
     """What the options ``-D`` say; typer's ``BadParameter`` where one is not of the form NAME=VALUE.
 
@@ -215,7 +235,7 @@ def defines(pairs: list[str]) -> dict[str, str]:
 
 
 def _unused_parameter(scene: Path, values: dict[str, str], error: BaseException) -> Optional[str]:
-    """What to say where the error is that a scene has no parameter of a name in ``values``; None where it is another one."""
+    """What to say where a scene has no parameter of a name in ``values``; None where the error is another one."""
     if "unused parameters" not in str(error):
         return None
     known = sorted(set(re.findall(r"\$(\w+)", scene.read_text("utf-8", "replace"))))
@@ -226,18 +246,25 @@ def _unused_parameter(scene: Path, values: dict[str, str], error: BaseException)
     return f'{scene} has no parameter "{name}": {way}'
 
 
-def load(scene: Path, values: dict[str, str]):
-    """Load a scene file; ``Failure`` says why it can't be."""
-    import mitsuba as mi
+def name_of(scene: Path) -> str:
+    """What results call a scene file: its folder's name if it is scene.xml, else its own.
 
+    >>> name_of(Path("amber/scene.xml")), name_of(Path("amber/dark.xml"))
+    ('amber', 'dark')
+    """
+    return scene.resolve().parent.name if scene.stem == "scene" else scene.stem
+
+
+def load(scene: Path, values: dict[str, str]) -> mi.Scene:
+    """Load a scene file with these parameters; ``Failure`` says why it can't be."""
     if not scene.is_file():
         name = scene.parent.name
-        ours = scene.name == "scene.xml" and name in scene_files.SCENES
+        ours = scene.name == "scene.xml" and name in example_scenes.SCENES
         way = f": refscatter scenes {name} -o {scene.parent} writes it" if ours else ""
         raise Failure(f"there is no scene file {scene}{way}")
     meshcheck.check_scene(scene, values)
     try:
-        loaded = scene_files.load(scene, **values)
+        loaded = example_scenes.load(scene, **values)
     except (RuntimeError, ValueError, TypeError) as error:
         raise Failure(_unused_parameter(scene, values, error) or cause(error)) from error
     if not isinstance(loaded, mi.Scene):

@@ -1,5 +1,4 @@
-"""The command ``refscatter``: render, compare, check, supported, scenes, scaling, convergence, equal-error,
-tradeoff, probe.
+"""The command ``refscatter``: here are render, check, supported and scenes, in ``compare`` and ``measure`` the others.
 
 Errors are one sentence on stderr; the exit codes stand at the end of ``refscatter --help``.
 """
@@ -9,19 +8,21 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import List, Optional  # noqa: UP035 - typer reads these on Python 3.9
+from typing import Optional
 
+import mitsuba as mi
 import typer
 from rich.table import Table
 
-from .. import example_scenes as scene_files
-from .. import image_io, platform
+from .. import example_scenes, image_io, platform
+from ..integrators.hooks import Hooks
+from ..scene import support
 from . import compare, console, measure
 from .console import (
+    DEFINE,
     QUIET,
     Failure,
     UsageError,
-    cause,
     defines,
     err,
     load,
@@ -31,6 +32,7 @@ from .console import (
     progress,
     stop_on_sigterm,
     tell_usage,
+    told_by_mitsuba,
 )
 
 app = typer.Typer(
@@ -54,8 +56,6 @@ def _is_ours(integrator) -> bool:
 
 def _integrator(scene, say):
     """The scene's integrator if it is one of ours, otherwise a new ``refscatter``."""
-    import mitsuba as mi
-
     found = scene.integrator()
     if _is_ours(found):
         return found
@@ -66,8 +66,6 @@ def _integrator(scene, say):
 
 def _render(scene, integrator, spp: int, quiet: bool):
     """Render and return the film's bitmap, all channels."""
-    from ..integrators.hooks import Hooks
-
     sensor, ours = scene.sensors()[0], type(integrator).__module__.startswith(PACKAGE)
     with progress("rendering", 1.0 if ours else None, quiet) as tell:
         # Not mi.render: it hides what an integrator raises, Ctrl-C included, behind its own error.
@@ -102,7 +100,7 @@ def render(
         None, "-m", "--mode", help=f"Mitsuba variant. [default: the first usable of {', '.join(platform.PREFERRED)}]"
     ),
     spp: int = typer.Option(0, "-s", "--spp", "--samples", min=0, help="Samples per pixel; 0 leaves it to the scene."),
-    define: List[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),  # noqa: UP006
+    define: list[str] = DEFINE,
     quiet: bool = QUIET,
 ):
     """Render a scene file to an EXR and a tone-mapped PNG.
@@ -116,13 +114,9 @@ def render(
     variant = variant or platform.default_variant()
     platform.require_usable(variant)
     path = image_io.target(file if file is not None else Path(scene.stem + ".exr"))
-    import mitsuba as mi
-
     mi.set_variant(variant)
     if quiet:
         mi.set_log_level(mi.LogLevel.Error)
-    import mitsuba_refscatter  # noqa: F401 - registers the plugins
-
     say = (lambda text: None) if quiet else (lambda text: err.print(text, markup=False))
     start = time.perf_counter()
     with logged_on_stderr():
@@ -131,10 +125,8 @@ def render(
         say(f"Rendering {scene} in {variant} ...")
         if variant.startswith("cuda"):
             say(f"Check the picture: {platform.GPU_REMARK}.")
-        try:
+        with told_by_mitsuba():
             bitmap = _render(loaded, integrator, spp, quiet)
-        except (RuntimeError, ValueError, TypeError) as error:
-            raise Failure(cause(error)) from error
     header = image_io.about(integrator, scene.name, spp or loaded.sensors()[0].sampler().sample_count(), SEED)
     written = image_io.write_image(path, bitmap, header=header)
     if not quiet:
@@ -175,8 +167,6 @@ def supported():
 
     Example: refscatter supported > table.md
     """
-    from ..scene import support
-
     print(support.table())
 
 
@@ -196,13 +186,13 @@ def scenes(
     Example: refscatter scenes bumpy_sphere --triangles 5120 -o out
     """
     if name is None:
-        for key, scene in scene_files.SCENES.items():
+        for key, scene in example_scenes.SCENES.items():
             out.print(f"{key:13} {scene.triangles:6} triangles  {' '.join(scene.comment.split())}", markup=False)
         return
     directory = Path(name) if directory is None else directory
     try:
         with progress("writing", None):
-            path, count = scene_files.write_scene(name, directory, triangles)
+            path, count = example_scenes.write_scene(name, directory, triangles)
     except OSError as error:
         raise Failure(f"nothing can be written in {directory}: {error.strerror}") from error
     out.print(f"{path}  ({count} triangles)", markup=False)

@@ -1,35 +1,50 @@
-"""The commands that measure one thing: scaling, convergence, equal-error, tradeoff, probe."""
+"""The commands that measure one thing: scaling, convergence, equal-error, tradeoff and, along one camera ray, probe."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Optional
 
+import mitsuba as mi
 import typer
 
-from .. import example_scenes as scene_files
-from .. import image_io
+from .. import example_scenes, image_io
 from ..benchmarks import convergence as convergence_runs
 from ..benchmarks import equal_error as equal_error_runs
-from ..benchmarks import results
+from ..benchmarks import plotting, results
 from ..benchmarks import scaling as scaling_runs
 from ..benchmarks import tradeoff as tradeoff_runs
+from ..culling import CULLINGS
 from ..probing import numbers, picture, view
 from ..probing import probe as probe_ray
-from .console import QUIET, Failure, cause, defines, known, load, measurable, out, plainly, progress, require, table
+from .console import (
+    DEFINE,
+    QUIET,
+    defines,
+    load,
+    measurable,
+    name_of,
+    out,
+    plainly,
+    progress,
+    require,
+    require_known,
+    table,
+    told_by_mitsuba,
+)
 
 app = typer.Typer()
 
 
-def _write(directory, name, plot, rows):
-    """Writes a picture and ``results.json`` of all rows so far to a directory; returns both paths."""
-    picture = directory / name
-    image_io.write_file(picture, lambda unfinished: plot(rows, unfinished))
-    return [picture, results.write(directory, rows)]
+def _write(directory, name, figure, rows):
+    """Write a plot and ``results.json`` of all rows so far to a directory; return both paths."""
+    plot = directory / name
+    image_io.write_file(plot, lambda unfinished: plotting.save(figure(rows), unfinished))
+    return [plot, results.write(directory, rows)]
 
 
 def _show(quiet, shown, lines):
-    """Prints a table and lines below it, unless ``quiet``."""
+    """Print a table and lines below it, unless ``quiet``."""
     if not quiet:
         out.print(shown)
         out.print(*lines, sep="\n", markup=False)
@@ -63,24 +78,25 @@ def scaling(
     """
     if quiet and directory is None:
         raise typer.BadParameter("without -o nothing would be left of the results", param_hint="--quiet")
-    known([scene], scene_files.BODIES, "--scene", "scene")
-    methods = known(methods, scaling_runs.OURS, "--method", "method")
+    require_known([scene], example_scenes.BODIES, "--scene", "scene")
+    methods = require_known(methods, scaling_runs.OURS, "--method", "method")
     if directory is not None:
         require("matplotlib")
     variant = measurable(variant, directory)
     shown = table("triangles", "method", "wall s", "CPU s", "volpath spp, same wall", "same CPU", "candidates/ray",
-                   "contributing/ray", "L1 error", "first s", "peak MiB")  # fmt: skip
-
+                  "contributing/ray", "L1 error", "first s", "peak MiB")  # fmt: skip
     rows, written = [], []
     with progress("scaling", len(triangles), quiet) as tell:
-        runs = scaling_runs.run(triangles, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces,
-                                tolerance=tolerance, methods=tuple(methods), variant=variant)  # fmt: skip
+        runs = scaling_runs.run(
+            triangles, scene=scene, resolution=resolution, samples=samples, internal_bounces=bounces,
+            tolerance=tolerance, methods=tuple(methods), variant=variant,
+        )  # fmt: skip
         for number, found in enumerate(runs, 1):
             rows += found
             for row in found[:-1]:
                 shown.add_row(*_scaling_cells(row))
             if directory is not None:
-                written = _write(directory, "scaling.png", scaling_runs.plot, rows)
+                written = _write(directory, "scaling.png", scaling_runs.figure, rows)
             tell(number)
     grows = [f"{method}: {key} grows with triangles^{power:.2f}"
              for (method, key), power in scaling_runs.exponents(rows).items()]  # fmt: skip
@@ -92,7 +108,7 @@ def _scaling_cells(row):
     memory = row["peak_memory_bytes"]
     return (
         str(row["triangles"]), row["method"], f"{row['wall_seconds']:.2f}", f"{row['cpu_seconds']:.2f}",
-        f"{row['volpath_samples_of_same_wall_time']:.0f}", f"{row['volpath_samples_of_same_cpu_time']:.0f}",
+        *(f"{row[f'volpath_samples_of_same_{kind}_time']:.0f}" for kind in ("wall", "cpu")),
         *("" if row[key] is None else f"{row[key]:.0f}" for key in ("candidates_per_ray", "contributing_per_ray")),
         f"{row['mean_relative_error']:.1e}", f"{row['first_seconds']:.1f}",
         "" if memory is None else f"{memory / 2**20:.0f}",
@@ -115,7 +131,7 @@ def convergence(
 
     Example: refscatter convergence --scene bumpy_sphere --most 1024 -o out
     """
-    scenes = known(scenes, scene_files.BODIES, "--scene", "scene")
+    scenes = require_known(scenes, example_scenes.BODIES, "--scene", "scene")
     require("matplotlib")
     variant = measurable(variant, directory)
     shown, rows = table("scene", "estimator", "samples", "L1 difference", "bias", "wall s"), []
@@ -130,7 +146,7 @@ def convergence(
     with progress("convergence", len(scenes) * len(counts), quiet) as tell:
         for name in scenes:
             convergence_runs.run(name, most, add, variant=variant, resolution=resolution)
-    _show(quiet, shown, _write(directory, "convergence.png", convergence_runs.plot, rows))
+    _show(quiet, shown, _write(directory, "convergence.png", convergence_runs.figure, rows))
 
 
 @app.command()
@@ -172,11 +188,13 @@ def equal_error(
         tell(len(rows), f"{row['light']} {row['method']}")
 
     rows = []
-    setup = equal_error_runs.Setup(variant=variant, error=error, triangles=triangles, resolution=resolution, radius=radius,
-                                   radii=tuple(radii), seconds=seconds)  # fmt: skip
+    setup = equal_error_runs.Setup(
+        variant=variant, error=error, triangles=triangles, resolution=resolution, radius=radius, radii=tuple(radii),
+        seconds=seconds,
+    )  # fmt: skip
     with progress("equal-error", len(radii) + equal_error_runs.OTHER_ROWS, quiet) as tell:
         equal_error_runs.run(setup, add)
-    _show(quiet, shown, _write(directory, "equal_error.png", equal_error_runs.plot, rows))
+    _show(quiet, shown, _write(directory, "equal_error.png", equal_error_runs.figure, rows))
 
 
 @app.command()
@@ -191,7 +209,7 @@ def tradeoff(
     ),
     choices: bool = typer.Option(True, help="Switch what the tolerance decides singly, too."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant (rgb)."),
-    define: list[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),
+    define: list[str] = DEFINE,
     quiet: bool = QUIET,
 ):
     """Measure error and time over the tolerance and its choices.
@@ -200,11 +218,7 @@ def tradeoff(
     """
     require("matplotlib", "flip_evaluator")
     variant = measurable(variant, directory)
-    import mitsuba as mi
-
     mi.set_variant(variant)
-    import mitsuba_refscatter  # noqa: F401 - registers the plugins
-
     shown = table("scene", "tolerance or choice", "L1 error", "bias", "p99", "FLIP", "wall s", "CPU s", "first s")
 
     def add(row):
@@ -216,10 +230,10 @@ def tradeoff(
 
     rows, setup = [], tradeoff_runs.Setup(variant, tuple(tolerance), choices, bounces, samples)
     for path in scene:
-        name = path.resolve().parent.name if path.stem == "scene" else path.stem
+        name = name_of(path)
         with progress(name, 1.0, quiet) as tell:
             rows += tradeoff_runs.run(name, load(path, defines(define)), setup, add, tell)
-        written = _write(directory, "tradeoff.png", tradeoff_runs.plot, rows)
+        written = _write(directory, "tradeoff.png", tradeoff_runs.figure, rows)
     _show(quiet, shown, written)
 
 
@@ -236,26 +250,20 @@ def probe(
     tolerance: float = typer.Option(0.001, "--tolerance", min=0.0, max=1.0, help="Relative error aimed at."),
     culling: str = typer.Option("beams", "--culling", help="How triangles are found: beams or spindle."),
     variant: Optional[str] = typer.Option(None, "-m", "--mode", help="Mitsuba variant (rgb or mono)."),
-    define: list[str] = typer.Option([], "-D", "--define", metavar="NAME=VALUE", help="Set a parameter of the scene."),
+    define: list[str] = DEFINE,
 ):
     """Show what is added up along one camera ray.
 
     Example: refscatter probe sphere/scene.xml --pixel 40 30 -D res=64 -o out
     """
-    known([culling], ("beams", "spindle"), "--culling", "culling")
+    require_known([culling], CULLINGS, "--culling", "culling")
     require("matplotlib", "plotly")
     variant = measurable(variant, directory)
-    import mitsuba as mi
-
     mi.set_variant(variant)
-    import mitsuba_refscatter  # noqa: F401 - registers the plugins
-
     loaded = load(scene, defines(define))
-    try:
+    with told_by_mitsuba():
         found = probe_ray(loaded, *pixel, segment=segment, parts=parts, samples=samples, tolerance=tolerance,
                           internal_bounces=bounces, culling=culling)  # fmt: skip
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise Failure(cause(error)) from error
     name = str(scene)
     image_io.write_file(
         directory / "probe.json", lambda path: path.write_text(numbers.text_of(found, name), encoding="utf-8")

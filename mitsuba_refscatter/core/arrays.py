@@ -1,5 +1,7 @@
 """Picking and joining lanes of arrays."""
 
+from __future__ import annotations
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -12,7 +14,7 @@ ALIGNMENT = 64
 
 
 def array(kind, values):
-    """Numbers (a list or NumPy array) as a Dr.Jit array with memory of its own.
+    """Numbers (a list or NumPy array) as a Dr.Jit array of type ``kind`` with memory of its own.
 
     ``kind(values)`` may share NumPy's, at any alignment, and takes a single number for a constant: in both cases other
     values mean other kernels. So the copy is made from an aligned one of the right type.
@@ -47,10 +49,10 @@ def concat(parts):
 
 
 def chosen(*masks):
-    """For each of several tuples of masks, which mean lane 0's first, second, ... thing, then lane 1's and so on: the numbers of
-    the things in them, found in the one kernel that computes these.
+    """For each of several tuples of masks (Bool) the indices (UInt32) of what is in them, all found in one kernel.
 
-    Nearly in order, not exactly. Cheaper than ``dr.compress``, which reads the masks again.
+    The masks of a tuple mean each lane's first, second, ... thing. Things are counted lane by lane. The indices are
+    nearly in order, not exactly. Cheaper than ``dr.compress``, which reads the masks again.
     """
     n, found = dr.width(masks), []
     i = dr.arange(mi.UInt32, n)
@@ -66,7 +68,7 @@ def chosen(*masks):
 
 
 def repeat(counts):
-    """For numbers (NumPy, integers) of things that each of several parents has: per thing its parent and its number there.
+    """For counts (NumPy, integers) of things that parents have: per thing its parent and its number there (UInt32).
 
     >>> repeat(np.array([2, 0, 3]))
     ([0, 0, 2, 2, 2], [0, 1, 0, 1, 2])
@@ -92,8 +94,9 @@ def of(x, index):
 
 
 def room(n):
-    """The next power of two: a width for sums over ``n`` lanes. Dr.Jit puts the width of what it scatters to into its
-    kernels, which would be new ones for each ``n``.
+    """The next power of two: a width for sums over ``n`` lanes.
+
+    Dr.Jit puts the width of what it scatters to into its kernels, which would be new ones for each ``n``.
 
     >>> [room(n) for n in (1, 2, 3, 1000)]
     [1, 2, 4, 1024]

@@ -1,7 +1,8 @@
 """What renders of one integrator use again, under keys that name all that it depends on.
 
-A key is a frozen record, one class for each kind of thing. A function whose result is kept uses nothing of a scene or of options that
-is not in the fields of its key. What depends on too much for that has the scene itself in its key, and its parameters.
+A key is a frozen record, one class for each kind of thing. A function whose result is cached uses nothing of a scene or
+of options that is not in the fields of its key. What depends on too much for that has the scene itself in its key, and
+its parameters.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+
+from ..tolerances import Accuracy
 
 
 class Cache:
@@ -33,14 +36,21 @@ class Cache:
 
 @dataclass(frozen=True)
 class BodyKey:
-    """Of a boundary's triangles and of how far its light is followed. ``has``: which normals Mitsuba's mesh has and whether it is
-    flipped; ``mesh``: fingerprint of its buffers; ``flipped``, ``reach``: ``Body.flipped`` and ``reaches``; ``patches``: digest of
-    those that stand for the triangles."""
+    """Of a boundary's triangles and of how far its light is followed.
+
+    kind     as ``Body.kind``
+    eta      relative index of refraction
+    has      which normals Mitsuba's mesh has, and whether it is flipped
+    mesh     fingerprint of its buffers
+    flipped  whether ``Body.flipped`` made the body
+    reach    length to which ``Body.reaches`` limits its light, in units of the scene; 0 where it does not
+    patches  digest of those that stand for the triangles
+    """
 
     kind: str
     eta: float
-    has: tuple
-    mesh: tuple
+    has: tuple[bool, ...]
+    mesh: tuple[int, ...]
     flipped: bool = False
     reach: float = 0.0
     patches: bytes = b""
@@ -48,7 +58,12 @@ class BodyKey:
 
 @dataclass(frozen=True)
 class LevelsKey:
-    """Of the coarser meshes of a body (``coarse.levels``)."""
+    """Of the coarser meshes of a body (``simplification.levels``).
+
+    body        the body
+    least_turn  of the normals along edges, as there
+    most_turn   the same
+    """
 
     body: BodyKey
     least_turn: float
@@ -57,8 +72,12 @@ class LevelsKey:
 
 @dataclass(frozen=True)
 class PatchesKey:
-    """Of the patches on a coarser mesh. Other shapes may hide the body from the rays that find their middles. ``faces``: digest;
-    ``geometry``: ``Scene.geometry``. Where that is None it is a key in one render."""
+    """Of the patches on a coarser mesh. Other shapes may hide the body from the rays that find their middles.
+
+    body      the body that they stand for
+    faces     digest of the coarser mesh's
+    geometry  ``Scene.geometry``; where that is None it is a key in one render
+    """
 
     body: BodyKey
     faces: bytes
@@ -67,14 +86,22 @@ class PatchesKey:
 
 @dataclass(frozen=True)
 class RecordsKey:
-    """Of packed triangles or patches: those of bodies, one after the other."""
+    """Of packed triangles or patches.
 
-    bodies: tuple
+    bodies  whose they are, one after the other
+    """
+
+    bodies: tuple[BodyKey, ...]
 
 
 @dataclass(frozen=True)
 class TreeKey:
-    """Of what is made of the triangles of one body, the one whose first is ``first_record``. ``kind``: what that is."""
+    """Of what is made of the triangles of one body.
+
+    kind          what that is
+    records       packed triangles of several bodies
+    first_record  index of the body's first among them
+    """
 
     kind: str
     records: RecordsKey
@@ -83,36 +110,52 @@ class TreeKey:
 
 @dataclass(frozen=True)
 class BeamsKey:
-    """Of the light beams of one light point in a body. ``body``, ``records``, ``first_record``: its triangles; ``geometry``:
-    ``Scene.geometry``, for shadows; ``distant``, ``L``: of the light, which lies on no shape; ``lit``: whether rays test what is lit."""
+    """Of the light beams of one light point in a body.
+
+    body          the body
+    records       its packed triangles, among others
+    first_record  index of its first triangle there
+    geometry      ``Scene.geometry``, for shadows
+    distant       as ``optics.LocalLight`` has it
+    L             three numbers, the same; the light lies on no shape
+    lit           whether rays test what is lit
+    accuracy      what the option ``tolerance`` selects
+    """
 
     body: BodyKey
     records: RecordsKey
     first_record: int
     geometry: tuple
     distant: bool
-    L: tuple
+    L: tuple[float, ...]
     lit: bool
-    accuracy: object
+    accuracy: Accuracy
 
 
 @dataclass(frozen=True)
 class ChoiceKey:
-    """Of which coarser mesh stands for a body: depends on all that single scattering does. ``scene``: Mitsuba's, the object itself;
-    ``parameters``: digest of all that can be changed in it; ``segments``: digest of the camera segments on which it is measured;
-    ``region``, ``light``: indices."""
+    """Of which coarser mesh stands for a body: depends on all that single scattering does.
 
-    scene: object
+    scene       Mitsuba's, the object itself
+    parameters  digest of all that can be changed in it
+    segments    digest of the camera segments on which it is measured
+    body        the body
+    region      index of that behind the boundary
+    light       index of the emitter
+    accuracy    what the option ``tolerance`` selects
+    """
+
+    scene: mi.Scene
     parameters: bytes
     segments: bytes
     body: BodyKey
     region: int
     light: int
-    accuracy: object
+    accuracy: Accuracy
 
 
 def fingerprint(*arrays):
-    """A tuple that tells arrays of numbers of 32 bits from others: 64 bits for each that is not empty."""
+    """A tuple of int that tells Dr.Jit arrays of 32-bit numbers from others: 64 bits for each that is not empty."""
     out = []
     for x in arrays:
         if dr.width(x) == 0:

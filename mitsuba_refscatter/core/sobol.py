@@ -1,9 +1,12 @@
-"""Numbers for camera samples: four each, the place in the pixel and the choice of a light point, evenly spread together.
+"""Numbers for camera samples: the place in the pixel and the choice of a light point, evenly spread together.
 
-An image error from light points and one from places in the pixels are small if either are evenly spread; what is left is that
-of the pairs. So the four numbers of a pixel's samples are points of one Sobol sequence (Sobol 1967, with the direction
-numbers of Joe and Kuo 2008), turned at random (by an exclusive or: each number alone is then uniform).
+The errors of an image from light points alone, and from places in the pixels alone, are small if either are evenly
+spread. What is left is the error of the pairs. So the four numbers of a pixel's samples are points of one Sobol
+sequence (Sobol 1967, with the direction numbers of Joe and Kuo 2008). They get a random digital shift, an exclusive or:
+each number alone is then uniform.
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -16,14 +19,17 @@ from . import arrays
 BITS = 32
 
 DIRECTIONS = ((0, ()), (0, (1,)), (1, (1, 3)), (1, (1, 3, 1)))
-"""Per dimension the coefficients of the primitive polynomial and the initial direction numbers (Joe and Kuo 2008); the first
-dimension is van der Corput's."""
+"""Per dimension the coefficients of the primitive polynomial and the initial direction numbers (Joe and Kuo 2008).
+
+The first dimension is van der Corput's."""
 
 PLACE, LIGHT = (0, 1), (2, 3)
 """The dimensions of the place in the pixel and of the light point."""
 
 ROUNDS = 8
-"""Of the cipher that turns the numbers of pixels: with Mitsuba's default of four, turns of neighbouring seeds are correlated."""
+"""Of the cipher that makes the pixels' digital shifts.
+
+With Mitsuba's default of four, those of neighbouring seeds are correlated."""
 
 
 def _columns(dimension):
@@ -57,14 +63,17 @@ def sobol(index, dimension):
 
 @dataclass(frozen=True)
 class Batch:
-    """Camera samples that are rendered together: ``per_pixel`` neighbouring lanes belong to one pixel, and the first of these is
-    the pixel's sample number ``first``."""
+    """Camera samples that are rendered together.
+
+    first      number, in its pixel, of the first sample of each pixel
+    per_pixel  neighbouring lanes that belong to one pixel
+    """
 
     first: int = 0
     per_pixel: int = 1
 
     def split(self, n):
-        """Pixel and number in it of each of ``n`` lanes.
+        """Pixel and number in it (UInt32) of each of ``n`` lanes.
 
         >>> Batch(first=8, per_pixel=2).split(6)
         ([0, 0, 1, 1, 2, 2], [0, 1, 0, 1, 0, 1])
@@ -74,28 +83,38 @@ class Batch:
 
 
 class Sequence:
-    """The numbers of all camera samples of a render. ``seed`` turns them."""
+    """The numbers of all camera samples of a render; ``seed``: int, of their digital shifts."""
 
     def __init__(self, seed):
         self.seed = seed & 0xFFFFFFFF
 
     def own(self, dimensions, batch, n):
-        """Two numbers (Point2f in [0, 1)) for each of ``n`` lanes, turned for each pixel."""
+        """Two numbers (Point2f in [0, 1)) for each lane, with a digital shift for each pixel.
+
+        dimensions  two of the sequence: ``PLACE`` or ``LIGHT``
+        batch       ``Batch`` of the lanes
+        n           int, number of lanes
+        """
         pixel, number = batch.split(n)
         out = []
         for k in dimensions:
             table = arrays.array(mi.UInt32, sobol(batch.first + np.arange(batch.per_pixel), k))
-            turn = mi.sample_tea_32(pixel, self._stream(k), ROUNDS)[0]
-            out.append(mi.Float((dr.gather(mi.UInt32, table, number) ^ turn) >> 8) * 2.0**-24)
+            shift = mi.sample_tea_32(pixel, self._stream(k), ROUNDS)[0]
+            out.append(mi.Float((dr.gather(mi.UInt32, table, number) ^ shift) >> 8) * 2.0**-24)
         return mi.Point2f(*out)
 
     def shared(self, light_samples, batch, n):
-        """Numbers that many samples share: of about ``light_samples`` light points, (points, 2) in [0, 1), and per lane which.
+        """Numbers of light points that many samples share, (points, 2) in [0, 1), and per lane which (UInt32).
 
-        The pixels are in groups with numbers of their own, neighbours in different ones, as many as there are light points for;
-        where there are fewer than samples in a pixel, consecutive samples have the same. The groups' numbers go on in the
-        sequence, so that those of all light points are evenly spread, too; below their leading digits they are mixed (by a
-        triangular matrix: Matousek 1998), so that the next samples of other groups are not the same again.
+        light_samples  int, about so many light points
+        batch          ``Batch`` of the lanes
+        n              int, number of lanes
+
+        The pixels are in groups with numbers of their own, neighbours in different ones, as many as there are light
+        points for. Where there are fewer points than samples in a pixel, consecutive samples have the same. The groups'
+        numbers go on in the sequence, so that those of all light points are evenly spread, too. Below their leading
+        digits they are scrambled (by a triangular matrix: Matousek 1998), so that the next samples of other groups are
+        not the same again.
         """
         each = -(-batch.per_pixel // light_samples)
         points = -(-batch.per_pixel // each)
@@ -107,15 +126,15 @@ class Sequence:
         which = group * dr.opaque(mi.UInt32, points) + number // dr.opaque(mi.UInt32, each)
         digits = (points - 1).bit_length()
         index = batch.first * points // batch.per_pixel + np.arange(points)
-        numbers = np.stack([sobol(index, k) ^ self._turns(groups, digits, k)[:, None] for k in LIGHT], axis=-1)
+        numbers = np.stack([sobol(index, k) ^ self._scrambled(groups, digits, k)[:, None] for k in LIGHT], axis=-1)
         return numbers.reshape(-1, 2) / 2.0**BITS, which
 
     def _stream(self, k):
         """A second argument for the cipher, another for each k and for each seed."""
         return dr.opaque(mi.UInt32, ((len(DIRECTIONS) + 1) * self.seed + k) & 0xFFFFFFFF)
 
-    def _turns(self, groups, digits, dimension):
-        """Of groups whose first numbers differ in the leading ``digits``: uint32."""
+    def _scrambled(self, groups, digits, dimension):
+        """Scrambled digital shifts (uint32) of groups whose first numbers differ in the leading ``digits``."""
         ahead, rng = sobol(np.arange(groups) << digits, dimension), np.random.default_rng([self.seed, dimension])
         out = np.full(groups, rng.integers(2**BITS), dtype=np.uint32)
         for row in range(BITS):

@@ -1,5 +1,7 @@
 """What to say about a name that is not known."""
 
+from __future__ import annotations
+
 import difflib
 
 

@@ -1,10 +1,12 @@
 """One light beam: a triangle, or a part of one, with the light that it refracts.
 
-A triangle of a body with corner positions P and refracted directions omega; g is the function of
-(u, v) whose zeros are the points that send light onto a camera line (o, d):
+P are points of a triangle of a body, and omega are the refracted directions there. g is the function of (u, v) whose
+zeros are the points that send light onto a camera line (o, d):
 
     g = (P - o) . (d x omega).
 """
+
+from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
@@ -25,8 +27,10 @@ MIDDLES = ((0.5, 0.5), (0.0, 0.5), (0.5, 0.0))
 def sub_triangle(code, level):
     """Corner and signed size (u0, v0, h) of sub-triangle ``code`` of the 4^level similar ones.
 
-    Its corners are (u0, v0), (u0 + h, v0), (u0, v0 + h). Per base-4 digit: 0, 1, 2 keep a corner of the
-    parent, 3 is the middle one, turned by half a turn (h < 0).
+    code   UInt32, a base-4 digit per level: 0, 1, 2 keep a corner of the parent, 3 is the inverted middle part (h < 0)
+    level  UInt32, 0 to ``tolerances.MOST_LEVELS``
+
+    The corners are (u0, v0), (u0 + h, v0), (u0, v0 + h).
     """
     u, v, h = mi.Float(0), mi.Float(0), mi.Float(1)
     for k in range(tolerances.MOST_LEVELS):
@@ -41,8 +45,15 @@ def sub_triangle(code, level):
 
 
 def refracted(tri, u, v, incidence):
-    """Position and refracted direction at (u, v) of triangles (continued where unlit), and the square of its cosine, negative
-    under total reflection. ``incidence``: ``optics.Incidence``."""
+    """Position and refracted direction at points of triangles, and the square of the direction's cosine.
+
+    tri        ``triangle.Triangle``
+    u, v       Float, place in the triangle
+    incidence  ``optics.Incidence`` of the light
+
+    The direction is continued where the light does not come from outside. The square is negative under total
+    reflection.
+    """
     P = tri.position(u, v)
     omega, c_L, _ = optics.refract_in(incidence.light.seen_from(P)[0], tri.normal(u, v), incidence.eta)
     return P, omega, optics.inside_cosine2(c_L, incidence.eta)
@@ -50,20 +61,23 @@ def refracted(tri, u, v, incidence):
 
 @dataclass
 class Piece:
-    """A light beam or a part of one, and how its light bends.
+    """A light beam or a part of one, and how its light bends; body coordinates, lane by lane.
 
-    Corner positions ``P`` and refracted directions ``omega`` (lists of three Vector3f); ``bend``: bound of how far
-    omega is from linear in between; ``twist``: the same for what is bilinear in P and omega; ``u0``, ``v0``, ``h``:
-    the corner and signed size of its triangle in (u, v).
+    P       three Vector3f, positions of the corners
+    omega   three Vector3f, unit refracted directions there
+    bend    Float, bound of how far omega is from linear in between
+    twist   Float, the same for what is bilinear in P and omega, as a length; -1 where there is no beam
+    u0, v0  Float, corner of the part in the (u, v) of its triangle
+    h       Float, signed size of the part in (u, v)
     """
 
-    P: list
-    omega: list
-    bend: object
-    twist: object
-    u0: object
-    v0: object
-    h: object
+    P: list[mi.Vector3f]
+    omega: list[mi.Vector3f]
+    bend: mi.Float
+    twist: mi.Float
+    u0: mi.Float
+    v0: mi.Float
+    h: mi.Float
 
     def uv(self):
         """(u, v) of the corners."""
@@ -71,12 +85,16 @@ class Piece:
 
 
 def piece_at(tri, incidence, u0, v0, h):
-    """``Piece``: the light beams that an ``optics.Incidence`` makes of parts of triangles.
+    """``Piece``: the light beams that light makes of parts of triangles.
 
-    ``bend`` bounds how far omega is from linear, in any direction: a quadratic deviates by at most 4/3 of what it
-    does at the edges' middles; 2 leaves room for the cubic part. Where the critical angle may be passed, omega has
-    a square root in it: all of c_V may be missed. ``twist`` bounds the same for what is bilinear in position and
-    direction, as g is: 4/3 of |edge| |change| / 4; and how far a curved one is from its plane triangle.
+    tri        ``triangle.Triangle``
+    incidence  ``optics.Incidence`` of the light
+    u0, v0, h  Float, corner and signed size of the parts in (u, v)
+
+    ``bend`` bounds how far omega is from linear, in any direction. A quadratic deviates by at most 4/3 of what it does
+    at the edges' middles; 2 leaves room for the cubic part. Where the critical angle may be passed, omega has a square
+    root in it: all of c_V may be missed. ``twist`` bounds the same for what is bilinear in position and direction, as g
+    is, by 4/3 of |edge| |change| / 4. To that is added how far a curved triangle is from its plane one.
     """
     P, omega, c_V2 = zip(*(refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), incidence) for u, v in CORNERS))
     bend, twist, curved, sag = mi.Float(0), mi.Float(0), mi.Float(0), mi.Float(0)
@@ -94,14 +112,18 @@ def piece_at(tri, incidence, u0, v0, h):
 
 
 def nothing(piece, empty):
-    """``piece`` with those that are ``empty`` such that g has no zeros for any line."""
+    """``piece`` with those that are ``empty`` (Bool) such that g has no zeros for any line."""
     piece.omega = [dr.select(empty, mi.Vector3f(0), x) for x in piece.omega]
     piece.bend, piece.twist = dr.select(empty, 0, piece.bend), dr.select(empty, -1, piece.twist)
     return piece
 
 
 def excess(piece, light):
-    """How many times the size of beams, or the turn of their directions, is what ``tolerances.NEAR`` and ``TURN`` allow."""
+    """How many times (Float) the size of beams, or the turn of their directions, is what ``NEAR`` and ``TURN`` allow.
+
+    piece  ``Piece``
+    light  ``optics.LocalLight``
+    """
     distance = None if light.distant else fold(dr.minimum, [dr.norm(light.L - p) for p in piece.P])
     out = mi.Float(0)
     for j, k in ((0, 1), (1, 2), (2, 0)):
@@ -113,7 +135,7 @@ def excess(piece, light):
 
 
 def numbers(piece, reach):
-    """The record of a beam; ``reach``: the last 5 of its numbers."""
+    """The record of a beam, a list of ``BEAM`` Float; ``reach``: the last 5 of them (``pairs.Reach``)."""
     out = []
     for p, w in zip(piece.P, piece.omega):
         out += [p.x, p.y, p.z, w.x, w.y, w.z]
@@ -121,7 +143,7 @@ def numbers(piece, reach):
 
 
 def unpack(numbers):
-    """``Piece`` of a gathered record."""
+    """``Piece`` of a gathered record, a list of ``BEAM`` Float."""
     P = [mi.Vector3f(numbers[6 * i : 6 * i + 3]) for i in range(3)]
     omega = [mi.Vector3f(numbers[6 * i + 3 : 6 * i + 6]) for i in range(3)]
     return Piece(P, omega, *numbers[18:23])
@@ -129,23 +151,28 @@ def unpack(numbers):
 
 @dataclass
 class Zeros:
-    """Where g vanishes on beams. ``possible``: False only if it surely doesn't; ``bracketed``: the corners have
-    different signs; ``g``: its values there; ``nonlinearity``: how far it can deviate from linear in between, relative to its range."""
+    """Where g vanishes on beams, lane by lane.
 
-    possible: object
-    bracketed: object
-    g: list
-    nonlinearity: object
+    possible      Bool, False only if it surely does not
+    bracketed     Bool, whether the corners have different signs
+    g             list of Float, its values at the corners
+    nonlinearity  Float, how far g can deviate from linear in between, relative to its range
+    """
+
+    possible: mi.Bool
+    bracketed: mi.Bool
+    g: list[mi.Float]
+    nonlinearity: mi.Float
 
 
 def classify(piece, segment):
-    """``Zeros`` of g on beams for segments."""
-    g, reach = [], mi.Float(0)
+    """``Zeros`` of g on beams (``Piece``) for camera segments (``LocalSegments``)."""
+    g, farthest = [], mi.Float(0)
     for p, w in zip(piece.P, piece.omega):
         across = dr.cross(p - segment.o, segment.d)
         g.append(dr.dot(w, across))
-        reach = dr.maximum(reach, dr.norm(across))
-    bound = piece.bend * reach + piece.twist
+        farthest = dr.maximum(farthest, dr.norm(across))
+    bound = piece.bend * farthest + piece.twist
     low, high = fold(dr.minimum, g), fold(dr.maximum, g)
     # A pair of which only an edge is touched, g = 0 at a corner, is bracketed on one side of it only.
     possible, bracketed = (low <= bound) & (high >= -bound), (low < 0) & (high >= 0)

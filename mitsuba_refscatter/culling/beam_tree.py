@@ -9,9 +9,11 @@ with ``c`` the centre of the P box. Such a line meets the camera line (o, d) whe
     g = (P - o) . (d x omega) = omega0 . k + delta . (A^T k - omega0 x d) + e . k - d . (delta x (A delta + e)),
 
 k = (c - o) x d, is zero. The last two terms are small, so the first two tell nearly exactly whether that is
-possible. This bounds the beams along their whole length; no beam is cut into pieces along it and no pair is found
-twice. A box around the beams tells whether the segment reaches them at all.
+possible. This bounds the beams along their whole length: no beam is cut into pieces along it and no pair is found
+twice. A box around the beams tells whether the segment comes to them at all.
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -28,36 +30,46 @@ NODE = 28
 
 @dataclass
 class Bounds:
-    """What a node bounds: the box of P; the linear model's columns ``A``; the box of omega - A (P - c); the beams' box;
-    and the number of beams (for means). Empty where that is 0."""
+    """What a node bounds, body coordinates, lane by lane.
 
-    P_low: object
-    P_high: object
-    A0: object
-    A1: object
-    A2: object
-    rest_low: object
-    rest_high: object
-    box_low: object
-    box_high: object
-    count: object
+    P_low, P_high        Vector3f, box of P
+    A0, A1, A2           Vector3f, columns of the linear model
+    rest_low, rest_high  Vector3f, box of omega - A (P - c)
+    box_low, box_high    Vector3f, box of the beams
+    count                Float, number of beams (for means); the node is empty where that is 0
+    """
+
+    P_low: mi.Vector3f
+    P_high: mi.Vector3f
+    A0: mi.Vector3f
+    A1: mi.Vector3f
+    A2: mi.Vector3f
+    rest_low: mi.Vector3f
+    rest_high: mi.Vector3f
+    box_low: mi.Vector3f
+    box_high: mi.Vector3f
+    count: mi.Float
 
     def centre(self):
+        """Centre c of the box of P."""
         return 0.5 * (self.P_low + self.P_high)
 
     def half(self):
+        """Half of its size."""
         return 0.5 * (self.P_high - self.P_low)
 
     def columns(self):
+        """Those of the linear model."""
         return self.A0, self.A1, self.A2
 
     def rest_about(self, c, columns):
-        """Box of omega minus another linear model."""
+        """Box of omega minus another linear model, with these ``columns`` about ``c``."""
         shift = _times(columns, self.centre() - c)
         slack = _times([dr.abs(a - b) for a, b in zip(self.columns(), columns)], self.half())
         return self.rest_low - shift - slack, self.rest_high - shift + slack
 
     def fields(self):
+        """All of it as a tuple, for ``bvh.fold``."""
         return tuple(self.__dict__.values())
 
 
@@ -82,7 +94,7 @@ def merge(a, b):
 
 
 def pack(fields):
-    """The ``NODE`` numbers of a node."""
+    """The ``NODE`` numbers of a node; ``fields``: those of ``Bounds``."""
     b = Bounds(*fields)
     h, r = b.half(), 0.5 * (b.rest_high - b.rest_low)
     change = _times([dr.abs(x) for x in b.columns()], h)
@@ -143,7 +155,7 @@ def _beam_box(P, omega, bend, sag, body):
     corners may go further than the corners' own: per axis the longest way is taken, over the axes the shortest.
     """
     low, high, least = *(dr.opaque(mi.Vector3f, x) for x in (body.box_low, body.box_high)), tolerances.ALONG_WALL
-    reach = dr.norm(high - low)
+    longest = dr.norm(high - low)
     P_low, P_high = _hull(P, sag)
     w_low, w_high = _hull(omega, bend)
     for k in range(3):
@@ -152,14 +164,19 @@ def _beam_box(P, omega, bend, sag, body):
             (P_high[k] - low[k]) / dr.maximum(-w_high[k], least),
         )
         along = dr.select(w_low[k] > least, up, dr.select(w_high[k] < -least, down, tolerances.ENDLESS))
-        reach = dr.minimum(reach, along)
-    ends = [p + reach * w for p, w in zip(P, omega)]
-    box_low, box_high = _hull(list(P) + ends, bend * reach + sag)
+        longest = dr.minimum(longest, along)
+    ends = [p + longest * w for p, w in zip(P, omega)]
+    box_low, box_high = _hull(list(P) + ends, bend * longest + sag)
     return dr.maximum(box_low, low), dr.minimum(box_high, high)
 
 
 def build(records, count, body):
-    """The tree over ``count`` packed beams of a body."""
+    """The tree over the light beams of a body.
+
+    records  Float, flat, ``beam.BEAM`` numbers per beam
+    count    int, number of beams
+    body     ``scene.boundaries.Body``
+    """
     depth = bvh.depth_for(count)
     return bvh.fold(_leaf_bounds(records, count, depth, body), depth, merge, pack, NODE)
 
@@ -167,7 +184,8 @@ def build(records, count, body):
 def node_test(segments):
     """The conservative test of bundles of camera segments (``Bundles.middle``) against a node, for ``bvh.traverse``.
 
-    From its middle to another line of a bundle (P - o) x d changes by at most |P - o| spread_d + spread_o, and so does g.
+    From its middle to another line of a bundle (P - o) x d changes by at most |P - o| spread_d + spread_o, and g by
+    that, too.
     """
     o, d, t_max, inverse_d = segments.o, segments.d, segments.t_max, segments.inverse_d
     spread_o, spread_d = segments.spread_o, segments.spread_d
@@ -177,11 +195,11 @@ def node_test(segments):
         c, h, omega, a0, a1, a2, r, low, high = (mi.Vector3f(x[i : i + 3]) for i in range(0, 27, 3))
         k = dr.cross(c - o, d)
         linear = mi.Vector3f(dr.dot(a0, k), dr.dot(a1, k), dr.dot(a2, k)) - dr.cross(omega, d)
-        reach = dr.dot(dr.abs(linear), h) + dr.dot(r, dr.abs(k)) + x[27]
-        reach += (dr.norm(c - o) + dr.norm(h)) * spread_d + spread_o
+        bound = dr.dot(dr.abs(linear), h) + dr.dot(r, dr.abs(k)) + x[27]
+        bound += (dr.norm(c - o) + dr.norm(h)) * spread_d + spread_o
         t0, t1 = (low - pad - o) * inverse_d, (high + pad - o) * inverse_d
         near = dr.max(dr.minimum(t0, t1))
         far = dr.min(dr.maximum(t0, t1))
-        return (dr.abs(dr.dot(omega, k)) <= reach) & (near <= far) & (far >= 0) & (near <= t_max)
+        return (dr.abs(dr.dot(omega, k)) <= bound) & (near <= far) & (far >= 0) & (near <= t_max)
 
     return hit

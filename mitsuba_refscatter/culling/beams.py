@@ -29,12 +29,14 @@ class Beams(Culling):
     """The light beams of one light in one body, and their tree.
 
     triangle_records  the packed triangles of the body, and maybe others
-    records           flat, ``beam.BEAM`` numbers per beam
-    triangles         UInt32, parent triangle of each beam
+    records           Float, flat, ``beam.BEAM`` numbers per beam
+    triangles         UInt32, index of each beam's triangle among the scene's records
     proven_lit        Bool, whether the whole beam is known to see the light
+    tree              over the beams
+    width             mean width of the beams, in units of the scene
     """
 
-    triangle_records: triangle.Records
+    triangle_records: mi.Float | triangle.Patches
     records: mi.Float
     triangles: mi.UInt32
     proven_lit: mi.Bool
@@ -68,22 +70,22 @@ class Beams(Culling):
         return mi.Bool(True)
 
     def near(self, beam, bundles):
-        """Which beams (indices) may have zeros of g for a segment of bundles, lane by lane."""
+        """Which beams (UInt32, indices) may have zeros of g for a segment of ``Bundles``, lane by lane (Bool)."""
         piece = light_beam.unpack(triangle.gather_numbers(self.records, beam, light_beam.BEAM))
         low, high = mi.Float(tolerances.ENDLESS), mi.Float(-tolerances.ENDLESS)
-        reach, far = mi.Float(0), mi.Float(0)
+        far_line, far = mi.Float(0), mi.Float(0)  # squared distances of the corners from line and origin
         for p, w in zip(piece.P, piece.omega):
             to = p - bundles.o
             across = dr.cross(to, bundles.d)
             g = dr.dot(w, across)
             low, high = dr.minimum(low, g), dr.maximum(high, g)
-            reach, far = dr.maximum(reach, dr.squared_norm(across)), dr.maximum(far, dr.squared_norm(to))
+            far_line, far = dr.maximum(far_line, dr.squared_norm(across)), dr.maximum(far, dr.squared_norm(to))
         pad = dr.sqrt(far) * bundles.spread_d + bundles.spread_o
-        bound = piece.bend * (dr.sqrt(reach) + pad) + piece.twist + pad
+        bound = piece.bend * (dr.sqrt(far_line) + pad) + piece.twist + pad
         return (piece.twist >= 0) & (low <= bound) & (high >= -bound)
 
     def triangle_of(self, pairs, active=True):
-        """Indices of the pairs' triangles among the scene's records."""
+        """Indices (UInt32) of the pairs' triangles among the scene's records."""
         return dr.gather(mi.UInt32, self.triangles, pairs.beam, active)
 
     def take(self, pairs, incidence, active=True):
@@ -99,11 +101,11 @@ class Beams(Culling):
         return Taken(tri, piece, True, reach, proven_lit, mi.Bool(False))
 
 
-def _lit(tri, light):
-    """False only if no point of the triangle is lit: the facet turns away, or n . (L - P) < 0 throughout.
+def _faces_light(tri, light):
+    """False only if no point of the triangle is lit: the facet faces away, or n . (L - P) < 0 throughout.
 
-    The latter is a polynomial in (u, v), of which the largest Bernstein coefficient is a bound: these are means of the values for
-    pairs of control points, for plane triangles one pair each.
+    The latter is a polynomial in (u, v), of which the largest Bernstein coefficient is a bound. These are means of the
+    values for pairs of control points, for plane triangles one pair each.
     """
     points, n = tri.controls()
     a = [light.to(p) for p in points]
@@ -115,10 +117,16 @@ def _lit(tri, light):
 
 
 def _levels(tri, incidence, size, bend, proven_lit):
-    """Subdivisions after which a beam is simple enough.
+    """Subdivisions (UInt32) after which a beam is simple enough.
 
-    Its bend is below ``bend`` times its width (both at the distance ``size``; per level the bend falls by 4, the
-    width by 2), its edges and directions are within ``tolerances.NEAR`` and ``TURN``, and where a shadow may end on it
+    tri         ``triangle.Triangle``, the whole beam's
+    incidence   ``optics.Incidence`` of the light
+    size        Float, of the body
+    bend        Float, that of ``tolerances.Accuracy``
+    proven_lit  Bool, whether no shadow ends on it
+
+    Its bend is then below ``bend`` times its width, both at the distance ``size``: per level the bend falls by 4, the
+    width by 2. Its edges and directions are within ``tolerances.NEAR`` and ``TURN``, and where a shadow may end on it
     within ``PARTLY_LIT``.
     """
     piece = light_beam.piece_at(tri, incidence, mi.Float(0), mi.Float(0), mi.Float(1))
@@ -138,9 +146,14 @@ def _levels(tri, incidence, size, bend, proven_lit):
 
 
 def build(body, shadows, structures):
-    """``Beams`` of the light of ``shadows`` in ``body``, whose triangles are among the ``structures``; None if none is lit."""
+    """``Beams`` of a light in a body; None if none of its triangles is lit.
+
+    body        ``scene.boundaries.Body``
+    shadows     ``visibility.Shadows`` of the light
+    structures  ``Structures`` of the scene
+    """
     scene_records, order, incidence = structures.records(body), structures.order(body), shadows.incidence
-    place = dr.compress(_lit(triangle.gather(scene_records, order), incidence.light))
+    place = dr.compress(_faces_light(triangle.gather(scene_records, order), incidence.light))
     lit = arrays.gather(order, place)
     if dr.width(lit) > 0:
         seen, proven = shadows.seen(lit)
@@ -176,8 +189,17 @@ def _reach(tri, piece, body, shadows, structures):
 
 
 def _in_leaves(place, parent, code, level):
-    """The beams such that each leaf holds those of ``bvh.LEAF`` places of the order at most: the nodes of the tree then bound the
-    same places for every light. Returns ``parent``, ``code``, ``level`` for all places in leaves, and which of these hold a beam."""
+    """The beams in an order such that each leaf holds those of ``bvh.LEAF`` places of the body's order at most.
+
+    The nodes of the tree then bound the same places for every light.
+
+    place   UInt32, of each triangle in the body's order
+    parent  UInt32, index in ``place`` of each beam's triangle
+    code    UInt32, sub-triangle of each beam
+    level   UInt32, level of that
+
+    Returns ``parent``, ``code``, ``level`` for all places in leaves, and which of these hold a beam (Bool).
+    """
     cell = place.numpy()[parent.numpy()] // bvh.LEAF
     count = np.bincount(cell)
     count = count[count > 0]
@@ -190,7 +212,10 @@ def _in_leaves(place, parent, code, level):
 
 
 def _expand(level):
-    """One entry per sub-triangle: index of its parent in ``level``, code, level. Neighbours in order are so in the triangle."""
+    """One entry per sub-triangle: index of its parent in ``level``, code, level (UInt32).
+
+    Neighbours in this order are neighbours in the triangle, too.
+    """
     parent, number = arrays.repeat(4 ** level.numpy().astype(np.int64))
     level = dr.gather(mi.UInt32, level, parent)
     code = mi.UInt32(0)

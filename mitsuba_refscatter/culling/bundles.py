@@ -1,5 +1,7 @@
 """Bundles of neighbouring camera segments, which go through a tree together."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import drjit as dr
@@ -13,20 +15,30 @@ from .pairs import Pairs
 
 @dataclass
 class Bundles:
-    """Lanes of bundles: ``count`` segments from number ``first`` on, at most ``most``; the middle one's origin ``o`` and
-    direction ``d`` (not of unit length), the longest length ``t_max``, and how far origins and directions are from the middle's."""
+    """Bundles of consecutive camera segments, body coordinates, lane by lane.
 
-    first: object
-    count: object
-    o: object
-    d: object
-    t_max: object
-    spread_o: object
-    spread_d: object
+    first     UInt32, number of the first segment
+    count     UInt32, how many there are
+    o         Point3f, mean of their origins
+    d         Vector3f, mean of their directions, not of unit length
+    t_max     Float, the longest length
+    spread_o  Float, how far origins are from ``o``
+    spread_d  Float, how far unit directions are from ``d``
+    most      segments in a bundle, at most
+    """
+
+    first: mi.UInt32
+    count: mi.UInt32
+    o: mi.Point3f
+    d: mi.Vector3f
+    t_max: mi.Float
+    spread_o: mi.Float
+    spread_d: mi.Float
     most: int
 
     @property
     def inverse_d(self):
+        """1 / d, finite."""
         return bvh.finite_inverse(self.d)
 
     def __len__(self):
@@ -36,14 +48,21 @@ class Bundles:
         return {key: value for key, value in vars(self).items() if key != "most"}
 
     def gather(self, index):
+        """Those at ``index`` (UInt32)."""
         return Bundles(**{key: arrays.gather(x, index) for key, x in self._fields().items()}, most=self.most)
 
     def joined(self, other):
+        """These and other ``Bundles``."""
         pairs = zip(self._fields().items(), other._fields().values())
         return Bundles(**{key: arrays.concat([a, b]) for (key, a), b in pairs}, most=self.most)
 
     def pairs(self, lane, leaf, index):
-        """The (segment, item) pairs numbered ``index`` of (bundle, leaf) pairs, which have ``most * bvh.LEAF`` each."""
+        """The ``Pairs`` numbered ``index`` of (bundle, leaf) pairs, which have ``most * bvh.LEAF`` each.
+
+        lane   UInt32, bundles
+        leaf   UInt32, leaves
+        index  UInt32, numbers of pairs of a segment and an item of a leaf
+        """
         if dr.width(index) == 0:
             return Pairs(index, index)
         most = dr.opaque(mi.UInt32, self.most)
@@ -54,7 +73,12 @@ class Bundles:
 
 
 def bundles_of(segments, most, width):
-    """``Bundles`` of ``most`` consecutive segments; of single ones where these are further apart than ``width``."""
+    """``Bundles`` of consecutive segments; of single ones where these are too far apart.
+
+    segments  ``LocalSegments``
+    most      int, segments in a bundle
+    width     float, mean width of light beams: what is ``tolerances.BUNDLE`` times that apart is not bundled
+    """
     n = len(segments)
     first = dr.arange(mi.UInt32, -(-n // most)) * dr.opaque(mi.UInt32, most)
     out = _bundle(segments, first, most)

@@ -1,10 +1,13 @@
 """How far a light beam is certainly free inside its body, so that no shadow ray is needed up to there.
 
-Light that entered a closed body can only be stopped by a triangle that it would leave through, that is one
-with omega . Ng > 0; the triangles around the point of entry are not of that kind. A tree over the body's
-triangles with bounding spheres and boxes of normals gives, per beam, the smallest distance at which it
-can touch such a triangle.
+Light that entered a closed body can only be stopped by a triangle that it would leave through: one with omega . Ng > 0.
+The triangles around the point of entry are not of that kind. The smallest distance at which a beam can touch such a
+triangle follows from a tree over the body's triangles. Its nodes are bounding spheres and boxes of normals.
 """
+
+from __future__ import annotations
+
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
@@ -19,8 +22,14 @@ NODE = 12
 
 
 def estimate(tri, piece, shadows):
-    """How far beams get, as the numbers of ``pairs.Reach``, judged by four of their rays: linear between those at the corners, give or
-    take several times what the one in the middle differs from that. ``shadows``: ``visibility.Shadows`` of their light."""
+    """How far beams get, as the numbers of ``pairs.Reach``, judged by four of their rays.
+
+    tri      ``triangle.Triangle``
+    piece    ``beam.Piece``
+    shadows  ``visibility.Shadows`` of the light
+
+    The length is linear between the rays at the corners, give or take several times what the ray in the middle differs.
+    """
     ends = []
     for u, v in (*beam.CORNERS, (1 / 3, 1 / 3)):
         P, omega, _ = beam.refracted(tri, piece.u0 + piece.h * u, piece.v0 + piece.h * v, shadows.incidence)
@@ -30,44 +39,83 @@ def estimate(tri, piece, shadows):
     return [*ends[:3], slack, slack]
 
 
+@dataclass
+class _Cone:
+    """A cone around all rays of light beams, with the radius start + spread s at the distance s along the axis.
+
+    piece   the light beams, one per lane
+    apex    Vector3f, where the axis starts, body coordinates
+    axis    Vector3f, unit
+    start   Float, radius around the apex
+    spread  Float, growth of the radius per length
+    sag     Float, at least how far light comes in from the plane triangle
+    """
+
+    piece: beam.Piece
+    apex: mi.Vector3f
+    axis: mi.Vector3f
+    start: mi.Float
+    spread: mi.Float
+    sag: mi.Float
+
+    @classmethod
+    def around(cls, tri, piece):
+        """That around beams, of triangles."""
+        sag = piece.twist if tri.curved else mi.Float(0)
+        P, omega = piece.P, piece.omega
+        apex, axis = (P[0] + P[1] + P[2]) / 3, dr.normalize(omega[0] + omega[1] + omega[2])
+        start = dr.maximum(dr.norm(P[0] - apex), dr.maximum(dr.norm(P[1] - apex), dr.norm(P[2] - apex))) + sag
+        spread = dr.maximum(dr.norm(omega[0] - axis), dr.maximum(dr.norm(omega[1] - axis), dr.norm(omega[2] - axis)))
+        return cls(piece, apex, axis, start, spread + piece.bend, sag)
+
+    def first_touch(self, centre, radius):
+        """Where it can first touch a sphere (Float, along the axis), and whether it does (Bool)."""
+        to_centre = centre - self.apex
+        along = dr.dot(to_centre, self.axis)
+        last = (along + radius + self.start) / dr.maximum(1 - self.spread, 1 - tolerances.BROAD)
+        widest = radius + self.start + self.spread * dr.maximum(last, 0)
+        across2 = dr.squared_norm(to_centre) - dr.square(along)
+        room = dr.square(widest) - across2
+        return dr.maximum(along - dr.safe_sqrt(room), 0), (room >= 0) & (last >= 0)
+
+
 class Clearance:
-    """How far light is free inside a body, independent of the light. ``corners``: float64 (F, 3, 3), body coordinates."""
+    """How far light is free inside a body, independent of the light.
+
+    records       the packed triangles of the body, and maybe others
+    first_record  int, index of the body's first triangle
+    corners       float64 (F, 3, 3), body coordinates
+    """
 
     def __init__(self, records, first_record, corners):
         self.surface = Surface(records, first_record, corners, lambda tri: [tri.Ng], _pack, NODE)
 
     def clear(self, tri, piece):
-        """Length to which beams (``beam.Piece``) are certainly free, as the numbers of ``pairs.Reach``."""
-        sag = piece.twist if tri.curved else mi.Float(0)  # at least how far light comes in from the plane triangle
-        P, omega, bend = piece.P, piece.omega, piece.bend
-        axis_P, axis = (P[0] + P[1] + P[2]) / 3, dr.normalize(omega[0] + omega[1] + omega[2])
-        start = dr.maximum(dr.norm(P[0] - axis_P), dr.maximum(dr.norm(P[1] - axis_P), dr.norm(P[2] - axis_P))) + sag
-        spread = (
-            dr.maximum(dr.norm(omega[0] - axis), dr.maximum(dr.norm(omega[1] - axis), dr.norm(omega[2] - axis))) + bend
-        )
-        wide = spread > tolerances.BROAD
+        """Length to which beams (``beam.Piece``) of triangles are certainly free, as the numbers of ``pairs.Reach``."""
+        cone = _Cone.around(tri, piece)
+        axis, spread = cone.axis, cone.spread
 
         def visit(x, leaf, at_leaf, active, best):
-            near, touched = _first_touch(mi.Vector3f(x[0:3]) - axis_P, x[3], axis, start, spread)
+            near, touched = cone.first_touch(mi.Vector3f(x[0:3]), x[3])
             out = dr.dot(axis, mi.Vector3f(x[4:7])) + dr.dot(dr.abs(axis), mi.Vector3f(x[7:10])) + spread > 0
             enter = active & touched & out & (near < best)
             here = enter & at_leaf
             for j in range(bvh.LEAF):
-                best = dr.minimum(best, self._touch(leaf, j, here, P, omega, bend, axis_P, axis, start, spread, sag))
+                best = dr.minimum(best, self._touch(leaf, j, here, cone))
             return enter, best
 
-        width = dr.width(P[0].x)
+        width = dr.width(piece.P[0].x)
         best = bvh.walk(self.surface.tree, width, visit, dr.full(mi.Float, tolerances.ENDLESS, width))
-        best = dr.select(wide, 0, best)
+        best = dr.select(spread > tolerances.BROAD, 0, best)
         return [best, best, best, mi.Float(0), mi.Float(tolerances.ENDLESS)]
 
-    def _touch(self, leaf, j, active, P, omega, bend, axis_P, axis, start, spread, sag):
-        """Smallest distance at which the beams can leave through the j-th triangle of a leaf, or ``tolerances.ENDLESS``."""
+    def _touch(self, leaf, j, active, cone):
+        """Smallest distance at which the beams can leave through the j-th triangle of a leaf, or ``ENDLESS``."""
         _, tri = self.surface.member(leaf, j, active)
-        middle, radius = tri.ball()
-        near, touched = _first_touch(middle - axis_P, radius, axis, start, spread)
+        near, touched = cone.first_touch(*tri.ball())
+        P, bend = cone.piece.P, cone.piece.bend
         # Where the linear beam meets the plane: a ratio of linear functions, smallest at a corner.
-        cosines = [dr.dot(w, tri.Ng) for w in omega]
+        cosines = [dr.dot(w, tri.Ng) for w in cone.piece.omega]
         steepest, flattest = (
             dr.maximum(dr.maximum(*cosines[:2]), cosines[2]),
             dr.minimum(dr.minimum(*cosines[:2]), cosines[2]),
@@ -76,20 +124,10 @@ class Clearance:
         for p, c in zip(P, cosines):
             plane = dr.minimum(plane, dr.dot(tri.P0 - p, tri.Ng) / dr.maximum(c, tolerances.LEAVING))
         least = dr.maximum(flattest, tolerances.LEAVING)
-        plane -= sag / least
+        plane -= cone.sag / least
         plane *= tolerances.TRUSTED - dr.minimum(bend / least, tolerances.TRUSTED)
         near = dr.select(flattest > 2 * bend + tolerances.STEEP, dr.maximum(near, plane), near)
         return dr.select(active & touched & (steepest + bend > 0), near, tolerances.ENDLESS)
-
-
-def _first_touch(to_centre, radius, axis, start, spread):
-    """Where a cone around a ray (radius start + spread s) can first touch a sphere, and whether it does."""
-    along = dr.dot(to_centre, axis)
-    last = (along + radius + start) / dr.maximum(1 - spread, 1 - tolerances.BROAD)
-    reach = radius + start + spread * dr.maximum(last, 0)
-    across2 = dr.squared_norm(to_centre) - dr.square(along)
-    room = dr.square(reach) - across2
-    return dr.maximum(along - dr.safe_sqrt(room), 0), (room >= 0) & (last >= 0)
 
 
 def _pack(bounds):

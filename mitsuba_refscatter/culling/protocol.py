@@ -21,8 +21,10 @@ class Culling(ABC):
     width: float
 
     for_one_light: bool
-    """Whether it is made for one light sample: it then knows the zeros of g before an estimator does, proofs of visibility, and light
-    samples are shared by camera samples. Else each camera segment may have a light sample of its own."""
+    """Whether it is made for one light sample, which camera samples then share. Else each segment may have its own.
+
+    Such a culling knows the zeros of g before an estimator does, and proofs of visibility.
+    """
 
     takes_coarse_meshes: bool
     """Whether a coarser mesh may stand for that of the boundary."""
@@ -38,7 +40,7 @@ class Culling(ABC):
     def of(cls, body, shadows, structures, drawn) -> Culling | None:
         """The culling of a boundary for a light sample; None if none of it is lit.
 
-        body        ``scene.Body``
+        body        ``scene.boundaries.Body``
         shadows     ``visibility.Shadows`` of the light sample
         structures  ``Structures`` of the scene
         drawn       whether the light sample is one of many: then nothing is made for other renders
@@ -46,15 +48,27 @@ class Culling(ABC):
 
     @abstractmethod
     def node_test(self, segments, incidence):
-        """The conservative test of camera segments, or bundles of them, against a node of the tree: a function for
-        ``bvh.traverse``. ``incidence``: ``optics.Incidence``, its light one or one for each segment."""
+        """The conservative test against a node of the tree: a function for ``bvh.traverse``.
+
+        segments   ``LocalSegments``, or ``Bundles`` of them
+        incidence  ``optics.Incidence``, its light one or one for each segment
+        """
 
     @abstractmethod
     def plausible(self, pairs, segment, incidence):
-        """Which pairs (Bool) exist and may contribute, by a test of their own. ``segment``: of each pair."""
+        """Which pairs (Bool) exist and may contribute, by a test of their own.
+
+        pairs      ``pairs.Pairs``
+        segment    ``LocalSegments`` of each pair
+        incidence  ``optics.Incidence`` of each pair
+        """
 
     def near(self, item, bundles):
-        """Which items (indices) may contribute to a segment of bundles, lane by lane (Bool); only where ``bundle`` > 1."""
+        """Which items may contribute to a segment of bundles, lane by lane (Bool); only where ``bundle`` > 1.
+
+        item     UInt32, indices
+        bundles  ``Bundles``
+        """
         raise NotImplementedError
 
     @abstractmethod
@@ -63,4 +77,9 @@ class Culling(ABC):
 
     @abstractmethod
     def take(self, pairs, incidence, active=True):
-        """``pairs.Taken``: triangles, light beams and proofs for pairs."""
+        """``pairs.Taken``: triangles, light beams and proofs for pairs.
+
+        pairs      ``pairs.Pairs``
+        incidence  ``optics.Incidence`` of each pair
+        active     Bool, those that are asked for
+        """

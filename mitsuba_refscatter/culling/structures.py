@@ -1,4 +1,4 @@
-"""What is made of the triangles of a scene's boundaries for all lights, once: packed triangles, their order, and trees."""
+"""What is made of the triangles of boundaries once for all lights: packed triangles, their order, and trees."""
 
 from __future__ import annotations
 
@@ -11,8 +11,12 @@ from .clearance import Clearance
 
 
 class Structures:
-    """Structures over the triangles of the boundaries of a scene. ``scene``: ``scene.Scene``; ``cache``: ``core.cache.Cache``; ``accuracy``:
-    ``tolerances.Accuracy``."""
+    """Structures over the triangles of the boundaries of a scene.
+
+    scene     ``scene.Scene``
+    cache     ``core.cache.Cache``
+    accuracy  ``tolerances.Accuracy``
+    """
 
     def __init__(self, scene, cache, accuracy):
         self.scene, self.cache, self.accuracy = scene, cache, accuracy
@@ -29,7 +33,12 @@ class Structures:
         return self.scene.records_key if body.stands_for is None else RecordsKey((body.key,))
 
     def once(self, kind, make, body):
-        """What ``make()`` makes of the triangles of a boundary; ``kind``: its name."""
+        """What ``make()`` makes of the triangles of a boundary, once.
+
+        kind  its name
+        make  called without arguments
+        body  ``scene.boundaries.Body``
+        """
         return self.cache.once(make, TreeKey(kind, self.records_key(body), body.first_record))
 
     def order(self, body):

@@ -12,18 +12,22 @@ from ..core import arrays
 
 @dataclass
 class Sums:
-    """Per segment: the radiance ``value`` (without the segment's weight, sigma_s and the light's intensity); how much of it is of pairs
-    that were not ``resolved``, in the channel where it is most (Float); and the numbers of pairs that were looked at (``candidates``) and that contributed
-    (``contributions``, parts of beams by their share), None where not asked for."""
+    """What light brings to each camera segment, without the segment's weight, sigma_s and the light's intensity.
 
-    value: object
-    unresolved: object
-    candidates: object = None
-    contributions: object = None
+    value          Spectrum, radiance
+    unresolved     Float, how much of it is of pairs that were not resolved, in the channel where that is most
+    candidates     Float, number of pairs that were looked at; None where not asked for
+    contributions  Float, number of pairs that contributed, parts of beams by their share; None where not asked for
+    """
+
+    value: mi.Spectrum
+    unresolved: mi.Float
+    candidates: mi.Float | None = None
+    contributions: mi.Float | None = None
 
     @classmethod
     def nothing(cls, n, detail=False):
-        """To begin with, for at least ``n`` segments."""
+        """To begin with, for at least ``n`` segments; ``detail``: whether pairs are counted."""
         n = arrays.room(n)
         return cls(
             dr.zeros(mi.Spectrum, n),
@@ -32,19 +36,26 @@ class Sums:
         )
 
     def look_at(self, pairs, mask):
-        """Counts the pairs in ``mask`` as candidates."""
+        """Counts the pairs in ``mask`` (Bool) as candidates."""
         if self.candidates is not None:
             dr.scatter_add(self.candidates, mi.Float(1), pairs.segment, mask)
 
     def add(self, pairs, total, contributes, resolved, share=1):
-        """Adds the ``total`` of pairs to their segments; each counts as ``share`` contributions."""
+        """Adds what pairs bring to their segments.
+
+        pairs        ``culling.pairs.Pairs``
+        total        Spectrum, radiance of each pair
+        contributes  Bool, which pairs count
+        resolved     Bool, for which of them all that was looked for was found
+        share        Float, as how many contributions each counts
+        """
         dr.scatter_add(self.value, total, pairs.segment, contributes)
         dr.scatter_add(self.unresolved, dr.max(total), pairs.segment, contributes & ~resolved)
         if self.contributions is not None:
             dr.scatter_add(self.contributions, mi.Float(share), pairs.segment, contributes)
 
     def add_all(self, other, weight, index):
-        """Adds the sums of other segments, times a weight, to those at ``index``."""
+        """Adds the ``Sums`` of other segments, times a ``weight`` (Spectrum), to those at ``index`` (UInt32)."""
         dr.scatter_add(self.value, weight * other.value, index)
         dr.scatter_add(self.unresolved, dr.max(weight) * other.unresolved, index)
         if self.candidates is not None:
@@ -58,4 +69,5 @@ class Sums:
         return Sums(*(None if x is None else dr.gather(type(x), x, index) for x in vars(self).values()))
 
     def eval(self, *others):
+        """Evaluates them, and ``others``, in one kernel."""
         dr.eval(*vars(self).values(), *others)

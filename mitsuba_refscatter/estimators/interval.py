@@ -1,20 +1,22 @@
 """The interval estimator: the parts of a camera segment that each triangle lights, sampled regularly (Holzschuch 2015).
 
 For each candidate triangle the curve of points that refract light onto the camera segment runs from one edge to
-another. Newton's method with one coordinate fixed finds its ends; in between, at fixed distances t along the segment,
-it finds the points of the curve, where the point form (``point_form``) is summed. Departures from the publication:
+another. Newton's method with one coordinate fixed finds its ends. In between it finds the points of the curve at fixed
+distances t along the segment. The point form (``point_form``) is summed there. Departures from the publication:
 
-- The search for the ends starts where the linear g (``beam.classify``) is zero on the edges, not at the intersection of
-  the camera ray with the triangle's plane, from which a walk along the curve's gradient may lose it. Where g is far from
-  linear the triangle is cut first, so that closed curves, and several in one triangle, are found, too.
-- The gradient (the cross product of two rows of the Jacobian) tells at both ends whether t grows inwards. If it does, or
-  falls, at both, the curve turns back in between (a fold): the interval is split there. The publication assumes one
+- The search for the ends starts where the linear g (``beam.classify``) is zero on the edges. The publication starts
+  where the camera ray meets the triangle's plane, from where a walk along the curve's gradient may lose it. Where g is
+  far from linear the triangle is cut first, so that closed curves, and several in one triangle, are found, too.
+- The gradient (the cross product of two rows of the Jacobian) tells at both ends whether t grows inwards. If it does,
+  or falls, at both, t has an extremum in between (a fold): the interval is split there. The publication assumes one
   monotone interval.
-- Samples are regular in x, with t a quadratic of x that has the gradient's slopes at both ends, instead of in t: the
+- Samples are regular not in t but in x, with t a quadratic of x that has the gradient's slopes at both ends. The
   integrand, which grows like |t - t_c|^(-1/2) at a fold, is then bounded. With equal slopes both are the same.
 - The residual of Newton's method is q x n instead of the half vector's (``solve.constraint``), so that eta may be near
   or equal to 1.
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -29,17 +31,24 @@ from ..solve import newton
 from ..solve.constraint import connect
 from . import point_form
 from .chord import chord_of, meeting
+from .pair_data import PairData
 from .protocol import Estimator
 
 
 @dataclass
 class _End:
-    """A point of the curve: (u, v), t, dt by the position along the chord (``slope``), and t + s (``path``)."""
+    """A point of the curve, lane by lane.
 
-    uv: object
-    t: object
-    slope: object
-    path: object
+    uv     Vector2f, place in the triangle
+    t      Float, distance along the segment
+    slope  Float, dt by the position along the chord
+    path   Float, t + s
+    """
+
+    uv: mi.Vector2f
+    t: mi.Float
+    slope: mi.Float
+    path: mi.Float
 
     def gather(self, index):
         return _End(*(arrays.gather(x, index) for x in vars(self).values()))
@@ -56,30 +65,32 @@ class Interval(Estimator):
 
     def accumulate(self, sums, pairs, segments, culling, illumination, accuracy):
         """As ``Estimator.accumulate``; nothing is left over."""
-        curve = _Curves(pairs, segments, culling, illumination)
+        pair = PairData.of(pairs, segments, culling, illumination)
+        curve = _Curves(pair)
         start, end = curve.end(curve.start), curve.end(curve.stop)
-        turns = curve.exists & (start.slope * end.slope < 0)
-        dr.eval(start, end, turns, curve.exists)
-        folded = dr.compress(turns)
-        _sample(sums, pairs, start, end, curve.exists & ~turns, segments, culling, illumination, accuracy)
+        folds = curve.exists & (start.slope * end.slope < 0)
+        dr.eval(start, end, folds, curve.exists)
+        folded = dr.compress(folds)
+        _sample(sums, pair, (start, end), curve.exists & ~folds, accuracy)
         if dr.width(folded) > 0:
-            pairs, start, end = pairs.gather(folded), start.gather(folded), end.gather(folded)
-            fold = _Curves(pairs, segments, culling, illumination).fold(start, end)
+            pair = PairData.of(pairs.gather(folded), segments, culling, illumination)
+            start, end = start.gather(folded), end.gather(folded)
+            fold = _Curves(pair).fold(start, end)
             dr.eval(fold)
-            for a, b in ((start, fold), (fold, end)):
-                _sample(sums, pairs, a, b, mi.Bool(True), segments, culling, illumination, accuracy)
+            for ends in ((start, fold), (fold, end)):
+                _sample(sums, pair, ends, mi.Bool(True), accuracy)
 
 
 class _Curves:
-    """The curves in the light beams of pairs, each parametrised by tau along the chord: rays from a corner M through
-    the chord (``chord.Chord``); those for tau = 0 and 1 run along edges. ``start``, ``stop``: the part of it that is lit
-    and whose light is not reflected totally."""
+    """The curves in the light beams of pairs, each parametrised by tau along the chord.
 
-    def __init__(self, pairs, segments, culling, illumination):
-        self.segment, illumination = segments.gather(pairs.segment), illumination.at(pairs.segment)
-        taken = culling.take(pairs, illumination)
-        self.tri, self.illumination = taken.tri, illumination
-        self.chord, limits = chord_of(taken.piece, self.tri, illumination, self.segment)
+    tau chooses a ray from a corner M through the chord (``chord.Chord``); those for tau = 0 and 1 run along edges. The
+    part from ``start`` to ``stop`` faces the light, which is not reflected totally there.
+    """
+
+    def __init__(self, pair):
+        self.pair = pair
+        self.chord, limits = chord_of(pair)
         # Of the limits those of the segment's own ends are taken later, exactly.
         self.start, self.stop = positive_part(limits[3:])
         self.exists = self.chord.active & (self.start < self.stop)
@@ -87,17 +98,22 @@ class _Curves:
 
     def end(self, tau):
         """The curve's point at tau: Newton's method for t and the position on the ray from M."""
-        D, segment = self.chord.direction(tau), self.segment
+        D, segment, tri, illumination = (
+            self.chord.direction(tau),
+            self.pair.segment,
+            self.pair.tri,
+            self.pair.illumination,
+        )
         uv = self.chord.M + D
-        P, omega, _ = light_beam.refracted(self.tri, uv.x, uv.y, self.illumination)
+        P, omega, _ = light_beam.refracted(tri, uv.x, uv.y, illumination)
         t, _ = meeting(P, omega, segment)
         # t in units of what it changes by per unit of the ray, roughly: as much as P moves.
-        unit = dr.norm(self.tri.P_u * D.x + self.tri.P_v * D.y)
+        unit = dr.norm(tri.P_u * D.x + tri.P_v * D.y)
 
         def system(x, lam):
             uv = self.chord.M + lam * D
             V = segment.o + (t + x * unit) * segment.d
-            c = self._connect(V, uv).residual(self.illumination.straight)
+            c = self._connect(V, uv).residual(illumination.straight)
             return c.value, c.by_t * unit, c.by_u * D.x + c.by_v * D.y
 
         solution = newton.solve(
@@ -109,41 +125,49 @@ class _Curves:
         x, lam = (dr.select(solution.converged, a, b) for a, b in zip(solution.x, (0, 1)))
         uv, t = self.chord.M + lam * D, t + x * unit
         path = self._connect(segment.o + t * segment.d, uv)
-        tangent = path.residual(self.illumination.straight).tangent()
+        tangent = path.residual(illumination.straight).tangent()
         forward = tangent.y * self.along.x + tangent.z * self.along.y
         slope = tangent.x * dr.squared_norm(self.along) / dr.select(forward == 0, 1, forward)
         return _End(uv, t, slope, t + path.s)
 
     def _connect(self, V, uv):
-        return connect(self.tri, self.illumination, V, self.segment.d, uv.x, uv.y)
+        return connect(self.pair.tri, self.pair.illumination, V, self.pair.segment.d, uv.x, uv.y)
 
     def fold(self, start, end):
-        """Where t turns back between two points at which its slopes differ in sign: regula falsi for the slope."""
+        """The extremum of t between two ``_End`` at which its slopes differ in sign: regula falsi for the slope."""
         lo, hi, at_lo, at_hi = self.start, self.stop, start.slope, end.slope
         for _ in range(tolerances.FOLD_STEPS):
             tau = lo - at_lo * (hi - lo) / (at_hi - at_lo)
-            turn = self.end(tau)
-            before = (turn.slope > 0) == (at_lo > 0)
-            lo, at_lo = dr.select(before, tau, lo), dr.select(before, turn.slope, at_lo)
-            hi, at_hi = dr.select(before, hi, tau), dr.select(before, at_hi, turn.slope)
-        return _End(turn.uv, turn.t, dr.zeros(mi.Float, dr.width(turn.t)), turn.path)
+            middle = self.end(tau)
+            before = (middle.slope > 0) == (at_lo > 0)
+            lo, at_lo = dr.select(before, tau, lo), dr.select(before, middle.slope, at_lo)
+            hi, at_hi = dr.select(before, hi, tau), dr.select(before, at_hi, middle.slope)
+        return _End(middle.uv, middle.t, dr.zeros(mi.Float, dr.width(middle.t)), middle.path)
 
 
 @dataclass
 class _Range:
-    """t as a quadratic of x with t(0), t(1) and the ratio of the slopes there given; first < x < last is what lies
-    on the segment."""
+    """t as a quadratic of x, 0 to 1, with t(0), t(1) and the ratio of the slopes there given; lane by lane.
 
-    t0: object
-    change: object
-    r: object
-    first: object
-    last: object
+    t0      Float, t(0)
+    change  Float, t(1) - t(0)
+    r       Float, slope at 0 over the sum of both slopes, 0 to 1
+    first   Float, x where the part that lies on the segment begins
+    last    Float, x where it ends
+    """
+
+    t0: mi.Float
+    change: mi.Float
+    r: mi.Float
+    first: mi.Float
+    last: mi.Float
 
     def t(self, x):
+        """t at x."""
         return self.t0 + self.change * (2 * self.r * x + (1 - 2 * self.r) * dr.square(x))
 
     def dt(self, x):
+        """|dt/dx| at x."""
         return 2 * dr.abs(self.change) * (self.r + (1 - 2 * self.r) * x)
 
 
@@ -162,11 +186,17 @@ def _range(a, b, t_max):
     return _Range(a.t, change, r, dr.minimum(x0, x1), dr.maximum(x0, x1))
 
 
-def _sample(sums, pairs, a, b, exists, segments, culling, illumination, accuracy):
-    """Adds the intervals between the points ``a`` and ``b`` of the curves of pairs, by regular samples."""
-    segment, illumination = segments.gather(pairs.segment), illumination.at(pairs.segment)
-    taken, sigma_t = culling.take(pairs, illumination), segments.sigma_t_of(pairs.segment)
-    piece, n = taken.piece, dr.opaque(mi.UInt32, accuracy.interval_samples)
+def _sample(sums, pair, ends, exists, accuracy):
+    """Adds the intervals between two points of the curves of pairs to sums, by regular samples.
+
+    sums      ``accumulator.Sums``
+    pair      ``PairData``
+    ends      two ``_End`` of the curves
+    exists    Bool, which of them are to be added
+    accuracy  ``tolerances.Accuracy``
+    """
+    (a, b), segment, sigma_t = ends, pair.segment, pair.sigma_t
+    piece, n = pair.piece, dr.opaque(mi.UInt32, accuracy.interval_samples)
     span = _range(a, b, segment.t_max)
     if accuracy.adapts:
         depth = dr.max(sigma_t) * dr.abs(b.path - a.path) * (span.last - span.first)
@@ -180,26 +210,27 @@ def _sample(sums, pairs, a, b, exists, segments, culling, illumination, accuracy
         t = span.t(x)
         start = (a.uv + x * along - mi.Point2f(piece.u0, piece.v0)) / piece.h
         V = segment.o + t * segment.d
-        solution = point_form.root(taken, illumination, V, segment.d, start, tolerances.OUTSIDE, exists)
+        solution = point_form.root(pair, V, start, exists)
         u, v = piece.u0 + piece.h * solution.x[0], piece.v0 + piece.h * solution.x[1]
-        path = connect(taken.tri, illumination, V, segment.d, u, v)
+        path = connect(pair.tri, pair.illumination, V, segment.d, u, v)
         # The other side of a fold has a root at the same t.
-        tangent = path.residual(illumination.straight).tangent()
+        tangent = path.residual(pair.illumination.straight).tangent()
         same_side = tangent.x * (tangent.y * along.x + tangent.z * along.y) * forward > 0
         active = exists & solution.converged & same_side
         found += dr.select(active, 1, 0)
-        active &= point_form.refracts(path, taken.tri)
-        active = illumination.visible(path.P, taken.tri.Ng, path.omega_V, u, v, path.s, taken, active)
-        value = point_form.in_scattered(path, taken.tri, segment.d, illumination, sigma_t)
+        active &= point_form.refracts(path, pair.tri)
+        active = pair.visible(path.P, (u, v), path.omega_V, path.s, active)
+        value = point_form.in_scattered(pair, path)
         value *= dr.exp(-sigma_t * t) * span.dt(x) * step
         active &= dr.all(dr.isfinite(value))
         return i + 1, total + dr.select(active, value, 0), contributes | active, found
 
-    width = len(pairs)
+    width = len(pair.pairs)
     nothing = dr.zeros(mi.UInt32, width)
     state = (nothing, dr.zeros(mi.Spectrum, width), dr.zeros(mi.Bool, width), dr.zeros(mi.UInt32, width))
     end = dr.while_loop(state, lambda i, *_: i < n, sample, label="samples", mode="symbolic")
     total, contributes, found = end[1], end[2], end[3]
     # Next to a fold, or where a whole curve has nearly the same t, samples fail: t is not known to enough digits.
-    sums.add(pairs, total, contributes, mi.Float(found) >= tolerances.FOUND * mi.Float(n), pairs.share())
+    resolved = mi.Float(found) >= tolerances.FOUND * mi.Float(n)
+    sums.add(pair.pairs, total, contributes, resolved, pair.pairs.share())
     sums.eval()

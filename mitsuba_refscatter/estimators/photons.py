@@ -1,16 +1,18 @@
 """Photons in place of solving: points where light scatters, or beams along its whole way in the medium.
 
-A photon enters a body at P with uniform density in (u, v) of a triangle, which is chosen with probability p. It stands for
-the flux that enters there, in the same measure as in ``estimators.curve``,
+A photon enters a body at P with uniform density in (u, v) of a triangle, which is chosen with probability p. It stands
+for the flux that enters there, in the same measure as in ``estimators.curve``,
 
     flux = I T A2 |omega . Ng| / (2 p N d_L^2),
 
-and both estimates replace the condition that it meets the camera ray by a blur of constant density and radius r: over
-the disk across the camera ray for points (Jarosz, Zwicker and Jensen 2008, beam radiance estimate), over the shortest distance
-between the two lines for beams (Jarosz et al. 2011, equation 38, one-dimensional blur),
+and both estimates replace the condition that it meets the camera ray by a blur of constant density and radius r. For
+points that is over the disk across the camera ray (Jarosz, Zwicker and Jensen 2008, beam radiance estimate). For beams
+it is over the shortest distance between the two lines (Jarosz et al. 2011, equation 38, one-dimensional blur):
 
     L += flux sigma_s p(omega, d) exp(-sigma_t (t + s)) / (pi r^2 pdf(s))   or   / (2 r |d x omega|).
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -21,6 +23,7 @@ import numpy as np
 from .. import optics, tolerances
 from ..core import arrays
 from ..geometry import bvh, triangle
+from ..scene.boundaries import Body
 
 RECORD = 12
 """Numbers of a photon: position, omega, start and end of the part of a beam (distances behind P), flux, and padding."""
@@ -30,8 +33,16 @@ NODE = 8
 
 
 def radius_of(first, number, alpha, mode):
-    """Radius in pass ``number`` (from 0): r_i+1^2 / r_i^2 = (i + alpha) / (i + 1) for points (Knaus and Zwicker 2011, equation
-    15), r_i+1 / r_i for beams (Jarosz et al. 2011, Progressive Photon Beams, equation 18)."""
+    """Radius of the blur in a pass, in units of the scene.
+
+    first   float, that in the first pass
+    number  int, of the pass, from 0
+    alpha   float, 0 to 1: how slowly it shrinks
+    mode    "points" or "beams"
+
+    (i + alpha) / (i + 1) is r_i+1^2 / r_i^2 for points (Knaus and Zwicker 2011, equation 15), and r_i+1 / r_i for beams
+    (Jarosz et al. 2011, Progressive Photon Beams, equation 18).
+    """
     i = np.arange(1, number + 1)
     shrunk = float(np.prod((i + alpha) / (i + 1)))
     return first * (shrunk**0.5 if mode == "points" else shrunk)
@@ -39,15 +50,21 @@ def radius_of(first, number, alpha, mode):
 
 @dataclass
 class Target:
-    """How photons of a light are shared out to the triangles of a boundary. ``flux``: about what they bring together."""
+    """How photons of a light are shared out to the triangles of a boundary.
 
-    body: object
-    records: object
-    triangles: object
+    body       ``scene.boundaries.Body``, whose boundary it is
+    records    the packed triangles of this body and others
+    triangles  distribution over the body's triangles
+    flux       about what all photons bring together, in W
+    """
+
+    body: Body
+    records: mi.Float | triangle.Patches
+    triangles: mi.DiscreteDistribution
     flux: float
 
     def choose(self, u):
-        """Triangles (records) for random numbers, and the probability of each."""
+        """Triangles for random numbers u (Float in [0, 1)), and the probability of each."""
         index, p = self.triangles.sample_pmf(u)
         return triangle.gather(self.records, index + dr.opaque(mi.UInt32, self.body.first_record)), p
 
@@ -55,9 +72,13 @@ class Target:
 def aim(body, records, pilots, exact):
     """The ``Target`` that a boundary is to a light; None if it lights none of it.
 
-    ``pilots``: list of ``(Illumination, intensity)`` of one light point each; ``exact``: whether the one of them is all of the
-    light. Triangles on which they find nothing get some photons all the same where it is not, or where it does
-    not send the same into all directions.
+    body     ``scene.boundaries.Body``
+    records  the packed triangles of this body and others
+    pilots   list of ``(Illumination, intensity)`` of one light point each
+    exact    whether the one of them is all of the light
+
+    Where it is not, or where it does not send the same into all directions, triangles on which pilots find nothing get
+    some photons all the same.
     """
     index = dr.opaque(mi.UInt32, body.first_record) + dr.arange(mi.UInt32, body.triangle_count)
     tri = triangle.gather(records, index)
@@ -80,20 +101,33 @@ def aim(body, records, pilots, exact):
 
 @dataclass
 class Photons:
-    """Photons where they come through a boundary (body coordinates): P, facet's normal, direction inside, flux."""
+    """Photons where they come through a boundary, body coordinates.
 
-    P: object
-    Ng: object
-    omega: object
-    flux: object
+    P      Point3f
+    Ng     Vector3f, unit normal of the facet
+    omega  Vector3f, unit direction inside
+    flux   Spectrum, in W
+    """
+
+    P: mi.Point3f
+    Ng: mi.Vector3f
+    omega: mi.Vector3f
+    flux: mi.Spectrum
 
     def gather(self, index):
+        """Those at ``index`` (UInt32)."""
         return Photons(*(dr.gather(type(x), x, index) for x in vars(self).values()))
 
 
 def shoot(target, count, illumination, intensity, sampler):
-    """``Photons`` of a light, those that come in, of ``count`` that are sent; None if there are none. ``illumination``: its one
-    light point or one for each photon, ``intensity`` (Spectrum): their intensities; ``sampler``: of ``count`` lanes."""
+    """``Photons`` of a light, those that come in, of ``count`` that are sent; None if there are none.
+
+    target        ``Target``
+    count         int
+    illumination  ``light.illumination.Illumination``, its light one point or one for each photon
+    intensity     Spectrum, of these points
+    sampler       Mitsuba's, of ``count`` lanes
+    """
     lane, n = dr.arange(mi.UInt32, count), dr.opaque(mi.Float, count)
     tri, p = target.choose((mi.Float(lane) + sampler.next_1d()) / n)
     uv = mi.warp.square_to_uniform_triangle(sampler.next_2d())
@@ -106,22 +140,39 @@ def shoot(target, count, illumination, intensity, sampler):
     flux = intensity * illumination.emitted(P, omega_L, d_L) * optics.transmission(c_L, c_V, illumination.eta)
     flux *= dr.norm(dr.cross(tri.P_u, tri.P_v)) * dr.abs(dr.dot(omega, tri.Ng)) / (2 * p * n * dr.square(d_L))
     flux = mi.Spectrum(flux)
-    kept = dr.compress(comes & (dr.max(flux) > 0))
-    return None if dr.width(kept) == 0 else Photons(P, tri.Ng, omega, flux).gather(kept)
+    inside = dr.compress(comes & (dr.max(flux) > 0))
+    return None if dr.width(inside) == 0 else Photons(P, tri.Ng, omega, flux).gather(inside)
+
+
+@dataclass
+class Blur:
+    """What stands in place of the condition that a photon meets the camera ray.
+
+    beams   whether photons are beams along their whole way, or else the points where they scatter
+    radius  of constant density up to there, in units of the scene
+    """
+
+    beams: bool
+    radius: float
 
 
 @dataclass
 class Cloud:
-    """Photons in a tree. ``beams``: whether they are parts of beams; ``records``: flat, ``RECORD`` numbers each."""
+    """Photons in a tree, body coordinates.
 
-    beams: bool
-    radius: float
-    records: object
+    blur     of each of them
+    records  Float, flat, ``RECORD`` numbers each
+    count    how many there are
+    tree     over their boxes
+    """
+
+    blur: Blur
+    records: mi.Float
     count: int
     tree: bvh.Tree
 
     def node_test(self, segments):
-        """Whether camera segments meet the box of a node, for ``bvh.traverse``."""
+        """Whether camera segments (``LocalSegments``) meet the box of a node, for ``bvh.traverse``."""
         inverse_d = segments.inverse_d
 
         def hit(x):
@@ -133,8 +184,15 @@ class Cloud:
         return hit
 
     def add(self, value, segments, segment, leaf, phase, directed):
-        """Adds to ``value`` (Spectrum, per camera segment) what the photons in leaves scatter along segments (indices): the
-        radiance per sigma_s."""
+        """Adds what the photons in leaves scatter along camera segments, pair by pair.
+
+        value     Spectrum, per segment: radiance per sigma_s
+        segments  ``LocalSegments``
+        segment   UInt32, index of each pair's segment
+        leaf      UInt32, leaf of each pair
+        phase     phase function (omega, d), 1/sr
+        directed  extinction (omega, d) along omega relative to that along d, or None where it is the same
+        """
         few, sigma_t = segments.gather(segment), segments.sigma_t_of(segment)
         count, total = dr.opaque(mi.UInt32, self.count), mi.Spectrum(0)
         for j in range(bvh.LEAF):
@@ -149,8 +207,8 @@ class Cloud:
         """What one photon scatters along each segment."""
         P, omega, start, end = mi.Vector3f(photon[0:3]), mi.Vector3f(photon[3:6]), photon[6], photon[7]
         flux = mi.Spectrum(photon[8 : 8 + dr.size_v(mi.Spectrum)])
-        to_P, d, radius = P - segments.o, segments.d, dr.opaque(mi.Float, self.radius)
-        if self.beams:
+        to_P, d, radius = P - segments.o, segments.d, dr.opaque(mi.Float, self.blur.radius)
+        if self.blur.beams:
             across = dr.cross(d, omega)
             sin2 = dr.squared_norm(across)
             t, s = (dr.dot(dr.cross(to_P, x), across) / sin2 for x in (omega, d))
@@ -165,10 +223,18 @@ class Cloud:
         return dr.select(inside, flux * phase(omega, d) * density * dr.exp(-depth), 0)
 
 
-def store(photons, lengths, sigma_t, beams, radius, body, sampler):
-    """``Cloud`` of ``Photons``. ``lengths``: how far each goes; ``sigma_t``: its extinction; ``sampler``: as wide."""
+def store(photons, lengths, sigma_t, blur, body, sampler):
+    """``Cloud`` of ``Photons``.
+
+    photons  ``Photons``
+    lengths  Float, how far each goes in the body
+    sigma_t  Spectrum, its extinction in 1/length
+    blur     ``Blur``
+    body     ``scene.boundaries.Body`` that they are in
+    sampler  Mitsuba's, as wide as the photons
+    """
     P, omega, flux, start, end = photons.P, photons.omega, photons.flux, mi.Float(0), lengths
-    if beams:
+    if blur.beams:
         step = body.size / tolerances.BEAM_PARTS
         parent, number = arrays.repeat(np.maximum(1, np.ceil(lengths.numpy() / step)).astype(np.int64))
         P, omega, flux, end = (dr.gather(type(x), x, parent) for x in (P, omega, flux, end))
@@ -178,14 +244,14 @@ def store(photons, lengths, sigma_t, beams, radius, body, sampler):
         # Distances as the mean of the colours is attenuated, to the end of the way at most.
         mean = dr.maximum(dr.mean(sigma_t), 1e-30)
         depth = dr.maximum(mean * lengths, tolerances.PHOTON_THIN)
-        reached = 1 - dr.exp(-depth)
-        s = -dr.log(1 - sampler.next_1d() * reached) * lengths / depth
-        pdf = depth / lengths * dr.exp(-depth * s / lengths) / reached
+        absorbed = 1 - dr.exp(-depth)
+        s = -dr.log(1 - sampler.next_1d() * absorbed) * lengths / depth
+        pdf = depth / lengths * dr.exp(-depth * s / lengths) / absorbed
         P, flux = P + s * omega, flux * dr.exp(-sigma_t * s) / pdf
         end = mi.Float(0)
     count = dr.width(P)
     dr.eval(P, omega, flux, start, end)
-    middle = P if not beams else P + 0.5 * (start + end) * omega
+    middle = P if not blur.beams else P + 0.5 * (start + end) * omega
     order = arrays.array(mi.UInt32, bvh.morton_order(middle.numpy().T))
     numbers = [*P, *omega, start, end, *flux]
     numbers = [dr.gather(mi.Float, x + dr.zeros(mi.Float, count), order) for x in numbers]
@@ -193,7 +259,7 @@ def store(photons, lengths, sigma_t, beams, radius, body, sampler):
     numbers += [mi.Float(0)] * (RECORD - len(numbers))
     triangle.scatter_numbers(records, numbers, dr.arange(mi.UInt32, count))
     dr.eval(records)
-    return Cloud(beams, radius, records, count, _tree(records, count, radius))
+    return Cloud(blur, records, count, _tree(records, count, blur.radius))
 
 
 def _tree(records, count, radius):

@@ -24,11 +24,14 @@ class Query:
     index: mi.UInt32
     points: LocalSegments
     weight: mi.Spectrum
-    done: tuple
+    done: tuple[float, float]
 
 
 class Estimator(ABC):
-    """A way to sum single scattering of one light sample. Its attributes say what it can do; nothing asks for its name."""
+    """A way to sum single scattering of one light sample.
+
+    Its attributes say what it can do; nothing asks for its name.
+    """
 
     needs_fine = True
     """Whether light beams must be so small that few samples of the light on them do."""
@@ -46,13 +49,22 @@ class Estimator(ABC):
     """Whether it finds light that a point at the camera sends straight back."""
 
     def queries(self, _segments, _illumination, _accuracy, _seed) -> Iterator[Query] | None:
-        """The ``Query`` of sample points that stand for camera segments (``LocalSegments``), chunk by chunk; None where segments are
-        taken as they are. ``seed``: of random numbers."""
+        """The ``Query`` of sample points that stand for camera segments, chunk by chunk; None where there are none.
+
+        segments      ``LocalSegments``
+        illumination  ``light.illumination.Illumination``
+        accuracy      ``tolerances.Accuracy``
+        seed          int, of random numbers
+        """
         return None
 
     @abstractmethod
     def classify(self, piece, segment):
-        """``culling.beam.Zeros``: on which light beams (``culling.beam.Piece``) a pair may contribute, lane by lane."""
+        """``culling.beam.Zeros``: on which light beams a pair may contribute, lane by lane.
+
+        piece    ``culling.beam.Piece``
+        segment  ``LocalSegments``
+        """
 
     @abstractmethod
     def accumulate(self, sums, pairs, segments, culling, illumination, accuracy):

@@ -2,10 +2,13 @@
 
     L = integral over t of sigma_s p E(t) exp(-sigma_t t) T(t),
 
-E the light's intensity over its squared distance (or irradiance), T what is left of it on its way (``transmittance.Transmittance``). In phi, the
-angle under which a light at distance h from the camera ray sees t from the ray's foot on, E dt = I dphi / h, so that near
-lights make no peak. Gauss quadrature in phi, in panels that end where either phi or the optical depth has gone another
-step, or the distance from the foot has grown or shrunk by a factor. Where T jumps, since something begins or ends to be in the way, the panel is divided there.
+E is the light's intensity over its squared distance (or irradiance), and T what is left of it on its way
+(``transmittance.Transmittance``). From a light at distance h from the camera ray, let phi be the angle between the
+ray's foot and the point at t. In phi E dt = I dphi / h, so that near lights make no peak.
+
+Gauss quadrature in phi, in panels. A panel ends where either phi or the optical depth has gone another step. It also
+ends where the distance from the foot has grown or shrunk by a factor. Where T jumps, since something begins or ends to
+be in the way, the panel is divided.
 """
 
 from __future__ import annotations
@@ -26,9 +29,12 @@ from ..optics import LocalLight
 def angle_panels(phase, accuracy):
     """Panels into which half a circle around a light must be cut for a ``phase`` function's lobes.
 
-    Told by the quadrature itself: with panels in four places, its largest error over the angles of scattering that they
-    cover must be below ``accuracy.lobes`` relative to the integral over all. (A light that is near a camera ray sees it under
-    up to half a circle, and panels that are even in that angle are so in that of scattering.)
+    Told by the quadrature itself, with panels in four places. Its largest error over the angles of scattering that they
+    cover must be below ``accuracy.lobes`` relative to the integral over all. (A light that is near a camera ray sees it
+    under up to half a circle, and panels that are even in that angle are so in that of scattering.)
+
+    phase     phase function (omega, d), 1/sr
+    accuracy  ``tolerances.Accuracy``
     """
     shifts, (x, w) = np.arange(4) / 4, (np.array(y) for y in gauss_legendre(accuracy.panel_points))
     counts = [accuracy.panels]
@@ -62,8 +68,9 @@ class Unrefracted:
     emission  as ``light.illumination.Illumination`` has it, or None
     phase     phase function (omega, d), 1/sr
     directed  as ``Illumination`` has it, or None
-    way       (V, direction, distance, active) -> (T, number): what is left of the light from V to there, and a number that changes
-              where T jumps; None where nothing but the segments' medium is in between
+    way       (V, direction, distance, active) -> (T, number), or None where only the segments' medium is in between
+
+    T is what is left of the light from V to there; the number changes where T jumps.
     """
 
     light: LocalLight
@@ -73,23 +80,26 @@ class Unrefracted:
     way: Callable | None
 
 
-def scatter(segments, lit, accuracy, angles):
+def scatter(segments, unrefracted, accuracy, angles):
     """Radiance along every segment (Spectrum, without sigma_s, intensity and the segment's weight).
 
-    segments  ``LocalSegments``
-    lit       ``Unrefracted``
-    accuracy  ``tolerances.Accuracy``
-    angles    panels of the angle (``angle_panels``), for a light that is not distant
+    segments     ``LocalSegments``
+    unrefracted  ``Unrefracted``
+    accuracy     ``tolerances.Accuracy``
+    angles       int, panels of the angle (``angle_panels``), for a light that is not distant
     """
-    integrand = _Integrand(segments, lit)
-    panels = _ByDepth(segments) if lit.light.distant else _ByAngle(segments, lit.light.L, angles)
-    total = _integrate(panels, integrand, len(segments), accuracy, lit.way is not None or integrand.has_rim)
+    integrand, light = _Integrand(segments, unrefracted), unrefracted.light
+    panels = _ByDepth(segments) if light.distant else _ByAngle(segments, light.L, angles)
+    total = _integrate(panels, integrand, len(segments), accuracy, unrefracted.way is not None or integrand.has_rim)
     dr.eval(total)
     return total
 
 
 class _ByDepth:
-    """Panels of a distant light: steps of optical depth, equal where that is small, shorter near the camera where it is large."""
+    """Panels of a distant light: steps of optical depth.
+
+    They are equal where the depth is small, and shorter near the camera where it is large.
+    """
 
     def __init__(self, segments):
         self.t_max = segments.t_max
@@ -97,6 +107,7 @@ class _ByDepth:
         self.growth = 1 + dr.maximum(dr.log(depth / tolerances.EVEN_DEPTH), 0) / dr.log(8)
 
     def count(self, n):
+        """Number of panels for ``n`` steps of depth."""
         return n
 
     def end(self, k, n):
@@ -160,38 +171,46 @@ class _ByAngle(_ByDepth):
 class _Integrand:
     """What is summed, but for E."""
 
-    def __init__(self, segments, lit):
-        self.segments, self.lit = segments, lit
-        self.has_rim = lit.emission is not None and lit.emission.has_rim
+    def __init__(self, segments, unrefracted):
+        self.segments, self.unrefracted = segments, unrefracted
+        self.has_rim = unrefracted.emission is not None and unrefracted.emission.has_rim
 
     def look(self, t, active):
-        """V at t, direction to the light, its distance, what is left on the way from there, and the number of that way."""
-        segments = self.segments
+        """V at t, direction to the light, its distance, what is left on the way from there, and that way's number."""
+        segments, unrefracted = self.segments, self.unrefracted
         V = segments.o + t * segments.d
-        omega_L, d_L = self.lit.light.seen_from(V)
-        if self.lit.way is None:
+        omega_L, d_L = unrefracted.light.seen_from(V)
+        if unrefracted.way is None:
             sigma_t = segments.sigma_t
-            if self.lit.directed is not None:
-                sigma_t = sigma_t * self.lit.directed(-omega_L, segments.d)
+            if unrefracted.directed is not None:
+                sigma_t = sigma_t * unrefracted.directed(-omega_L, segments.d)
             return V, omega_L, d_L, dr.exp(-sigma_t * d_L), mi.UInt32(0)
-        distance = tolerances.ENDLESS if self.lit.light.distant else d_L
-        return V, omega_L, d_L, *self.lit.way(V, omega_L, distance, active)
+        distance = tolerances.ENDLESS if unrefracted.light.distant else d_L
+        return V, omega_L, d_L, *unrefracted.way(V, omega_L, distance, active)
 
     def number(self, t, active):
-        """A number that changes where the integrand jumps: with the way, and where a spot's or a projector's light ends."""
+        """A number that changes where the integrand jumps: with the way, or where a spot's light ends."""
         V, omega_L, d_L, _, number = self.look(t, active)
         if self.has_rim:
-            number = 2 * number + dr.select(dr.any(self.lit.emission(V, omega_L, d_L) > 0), mi.UInt32(1), 0)
+            number = 2 * number + dr.select(dr.any(self.unrefracted.emission(V, omega_L, d_L) > 0), mi.UInt32(1), 0)
         return number
 
     def __call__(self, t, active):
         V, omega_L, d_L, left, _ = self.look(t, active)
-        value = left * dr.exp(-self.segments.sigma_t * t) * self.lit.phase(-omega_L, self.segments.d)
-        return value if self.lit.emission is None else value * self.lit.emission(V, omega_L, d_L)
+        value = left * dr.exp(-self.segments.sigma_t * t) * self.unrefracted.phase(-omega_L, self.segments.d)
+        emission = self.unrefracted.emission
+        return value if emission is None else value * emission(V, omega_L, d_L)
 
 
 def _integrate(panels, integrand, n, accuracy, jumps):
-    """The integral in panels."""
+    """The integral (Spectrum) in panels.
+
+    panels     ``_ByDepth``
+    integrand  ``_Integrand``
+    n          int, number of segments
+    accuracy   ``tolerances.Accuracy``
+    jumps      whether the integrand may jump
+    """
     steps, nodes = dr.opaque(mi.UInt32, accuracy.panels), list(zip(*gauss_legendre(accuracy.panel_points)))
     count = dr.opaque(mi.UInt32, panels.count(accuracy.panels))
 

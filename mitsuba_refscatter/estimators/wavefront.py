@@ -1,7 +1,7 @@
 """The wavefront over camera segments: traverse the culling's tree, filter the pairs, solve and accumulate.
 
-Segments go in, radiance comes out. Each stage is one kernel per chunk; the chunks are as long as the
-buffer of pairs allows: a chunk whose pairs do not fit is traversed again in two halves.
+Segments go in, radiance comes out. Each stage is one kernel per chunk. The chunks are as long as the buffer of pairs
+allows: a chunk whose pairs do not fit is traversed again in smaller ones.
 """
 
 from __future__ import annotations
@@ -21,14 +21,19 @@ from ..estimators.accumulator import Sums
 from ..geometry import bvh
 from ..light.illumination import Illumination
 from ..transport.segments import LocalSegments
-from .chord import reaches
+from .chord import may_meet
 from .protocol import Estimator
 
 
 @dataclass
 class Counts:
-    """Work done: camera segments, and (segment, leaf) pairs that the trees' traversal found; camera samples, and those of
-    them that are ``unresolved``: light paths that were not found bring more than the tolerance of their radiance."""
+    """Work done, in numbers.
+
+    segments    camera segments
+    leaves      (segment, leaf) pairs that the trees' traversal found
+    samples     camera samples
+    unresolved  those samples of which light paths that were not found bring more than the tolerance of their radiance
+    """
 
     segments: int = 0
     leaves: int = 0
@@ -48,8 +53,12 @@ class Counts:
 
 @dataclass
 class Pace:
-    """How many bundles of segments are traversed at once: goes on from light to light and from pass to pass, as their pairs are
-    about as many."""
+    """How many bundles of segments are traversed at once.
+
+    Goes on from light to light and from pass to pass, as their pairs are about as many.
+
+    bundles  in the next chunk; 0 at first for ``tolerances.FIRST_CHUNK``
+    """
 
     bundles: int = 0
 
@@ -61,7 +70,10 @@ class Pace:
         self.bundles = max(1, min(size - 1, _fitting(size, found)))
 
     def next(self, size, found):
-        """After ``size`` bundles had ``found`` pairs. Neighbouring ones are alike, distant ones are not: it grows step by step."""
+        """After ``size`` bundles had ``found`` pairs.
+
+        Neighbouring bundles are alike, distant ones are not: it grows step by step.
+        """
         self.bundles = min(
             tolerances.CHUNK_BUNDLES, _fitting(size, found), max(tolerances.CHUNK_GROWTH * size, self.bundles)
         )
@@ -73,9 +85,9 @@ class Run:
 
     accuracy  ``tolerances.Accuracy``
     pace      goes on from one run to the next
-    seed      of random numbers, where the estimator has any
+    seed      of random numbers, where the estimator draws any
     detail    whether pairs are counted
-    progress  (share done), called per chunk, or None
+    progress  called per chunk with the share that is done, 0 to 1; or None
     """
 
     accuracy: tolerances.Accuracy
@@ -85,16 +97,21 @@ class Run:
     progress: Callable | None = None
 
     def part(self, start, end):
-        """A run of a part of the work, between two shares of it."""
+        """A run of a part of the work, between two shares of it, 0 to 1."""
         whole = self.progress
         return replace(self, progress=None if whole is None else lambda x: whole(start + (end - start) * x))
 
 
 def scatter(segments, culling, illumination, estimator, run):
-    """Single scattering along every segment by one light: (``Sums``, ``Counts``). ``run``: ``Run``.
+    """Single scattering along every segment by one light: (``Sums``, ``Counts``).
 
-    ``culling``: ``culling.protocol.Culling``; ``estimator``: ``protocol.Estimator``. Raises ``ValueError`` for one light sample per segment where the
-    culling is made for one light.
+    segments      ``LocalSegments``
+    culling       ``culling.protocol.Culling`` of the boundary
+    illumination  ``Illumination``, its light one or one for each segment
+    estimator     ``protocol.Estimator``
+    run           ``Run``
+
+    Raises ``ValueError`` for one light per segment where the culling is made for one light.
     """
     if culling.for_one_light and dr.width(illumination.light.L) > 1:
         raise ValueError(
@@ -132,8 +149,11 @@ def sweep(segments, culling, illumination, estimator, run):
 def chunks(n, traverse, pace):
     """Takes ``n`` bundles (or single segments) through a tree, as many at once as the buffer holds pairs of.
 
-    ``traverse(start, size)``: as ``bvh.traverse`` with that many from ``start`` on. Yields its ``(bundle, leaf, found)`` and the number
-    of those that are done.
+    n         int
+    traverse  (start, size): as ``bvh.traverse`` with ``size`` bundles from ``start`` on
+    pace      ``Pace``
+
+    Yields the traversal's ``(bundle, leaf, found)`` and the number of bundles that are done.
     """
     start = 0
     while start < n:
@@ -141,8 +161,10 @@ def chunks(n, traverse, pace):
         lane, leaf, found = traverse(start, size)
         if found > tolerances.CHUNK_PAIRS:
             if size == 1:
-                raise RuntimeError(f"refscatter: a bundle of camera segments meets {found} leaves of a tree, the buffer holds "
-                                   f"{tolerances.CHUNK_PAIRS}; raise tolerances.CHUNK_PAIRS")  # fmt: skip
+                raise RuntimeError(
+                    f"refscatter: a bundle of camera segments meets {found} leaves of a tree, the buffer holds "
+                    f"{tolerances.CHUNK_PAIRS}; raise tolerances.CHUNK_PAIRS"
+                )
             pace.slower(size, found)
             continue
         pace.next(size, found)
@@ -151,8 +173,14 @@ def chunks(n, traverse, pace):
 
 
 def gather(segments, cloud, phase, directed, pace):
-    """Radiance (Spectrum per segment, per sigma_s) that a cloud of photons (``estimators.photons.Cloud``) scatters along every
-    segment."""
+    """Radiance (Spectrum per segment, per sigma_s) that photons scatter along every segment.
+
+    segments  ``LocalSegments``
+    cloud     ``estimators.photons.Cloud``
+    phase     phase function (omega, d), 1/sr
+    directed  extinction (omega, d) along omega relative to that along d, or None where it is the same
+    pace      ``Pace``
+    """
     n = len(segments)
     value = dr.zeros(mi.Spectrum, arrays.room(n))
 
@@ -169,8 +197,16 @@ def gather(segments, cloud, phase, directed, pace):
 
 @dataclass
 class Work:
-    """The stages: finding pairs, solving them, and cutting beams into parts where they are too complicated for a
-    segment."""
+    """The stages: finding pairs, solving them, and cutting beams where they are too complicated for a segment.
+
+    sums          what is found is added to them
+    segments      camera segments, body coordinates
+    bundles       of these
+    culling       of the boundary
+    illumination  of the boundary, its light one or one for each segment
+    accuracy      what the option ``tolerance`` selects
+    estimator     how pairs are summed
+    """
 
     sums: Sums
     segments: LocalSegments
@@ -181,15 +217,18 @@ class Work:
     estimator: Estimator
 
     def traverse(self, start, size):
-        """The (bundle, leaf) pairs of ``size`` bundles from ``start`` on, as ``bvh.traverse`` gives them."""
+        """The (bundle, leaf) pairs of ``size`` bundles from number ``start`` on, as ``bvh.traverse`` gives them."""
         index = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, size)
         bundles = self.bundles.gather(index)
         hit = self.culling.node_test(bundles, self.illumination.at(bundles.first))
         return bvh.traverse(self.culling.tree, index, hit, tolerances.CHUNK_PAIRS)
 
     def filter(self, lane, leaf, found):
-        """Of the first ``found`` (bundle, leaf) pairs: the (segment, beam) pairs that can be solved whole, and those
-        whose beams must be cut."""
+        """The (segment, beam) pairs that can be solved whole, and those whose beams must be cut: two ``Pairs``.
+
+        lane, leaf  UInt32, (bundle, leaf) pairs
+        found       int, how many of these there are
+        """
         place, bundles = dr.arange(mi.UInt32, found * bvh.LEAF), self.bundles
         bundle = arrays.gather(lane, place // bvh.LEAF)
         if bundles.most > 1:  # first those of which no segment may meet the beam are left out
@@ -216,8 +255,15 @@ class Work:
         return arrays.gather(place, at) * most + (index - at * most)
 
     def classify(self, pairs, taken=None, active=True):
-        """Which of the ``active`` pairs exist, where they may contribute, and which of them are too complicated; and what the culling
-        knows of them, ``taken`` if that is known already."""
+        """``(exists, zeros, bent, taken)`` of pairs.
+
+        ``exists``: Bool; ``zeros``: ``culling.beam.Zeros``; ``bent``: Bool, which are too complicated; ``taken``:
+        ``culling.pairs.Taken``.
+
+        pairs   ``Pairs``
+        taken   of them, if that is known already
+        active  Bool, those that are asked for
+        """
         segment, illumination = self.segments.gather(pairs.segment, active), self.illumination.at(pairs.segment)
         exists = self.culling.plausible(pairs, segment, illumination) & active
         taken = taken or self.culling.take(pairs, illumination, exists)
@@ -260,7 +306,7 @@ class Work:
                 solvable = []
 
     def _quarter(self, part):
-        """The four parts of each part: those that can be solved, and those that must be cut again."""
+        """Of the four parts of each part: those that can be solved, and those that must be cut again."""
         i = dr.arange(mi.UInt32, 4 * len(part))
         quarters = part.gather(i // 4)
         quarters.code |= (i & 3) << (2 * quarters.level)
@@ -268,7 +314,7 @@ class Work:
         _, zeros, bent, taken = self.classify(quarters)
         bent &= quarters.level < self.culling.most_levels
         solvable, go_on = zeros.bracketed & ~bent, zeros.possible & bent
-        go_on &= reaches(taken.piece, self.segments.gather(quarters.segment))
+        go_on &= may_meet(taken.piece, self.segments.gather(quarters.segment))
         dr.eval(quarters.code, quarters.level, quarters.segment, quarters.beam, solvable, go_on)
         return quarters.gather(dr.compress(solvable)), quarters.gather(dr.compress(go_on))
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mitsuba as mi
+
 from ..core.spelling import advice
-from .bodies import amber, bumpy_sphere, rounded_cube, sphere
+from .bodies import Mesh, amber, bumpy_sphere, rounded_cube, sphere
 from .branches import branches
 from .ply import write_ply
 from .studio import STUDIO
@@ -40,8 +42,13 @@ class BodyError(ValueError):
 MAX_TRIANGLES = 20_000_000  # indices and memory stay harmless; a typing error does not
 
 
-def make_body(name: str, triangles: int | None = None):
-    """Return ``(vertices, faces, normals)`` of a body, with about ``triangles`` triangles; ``BodyError`` if that can't be.
+def make_body(name: str, triangles: int | None = None) -> Mesh:
+    """Return ``(vertices, faces, normals)`` of a body, or raise ``BodyError`` if it can't be made.
+
+    name       one of ``BODIES``
+    triangles  wanted; None: as many as the scene's file has
+
+    The arrays are (V, 3), (F, 3) and (V, 3).
 
     >>> [x.shape for x in make_body("sphere", triangles=100)]
     [(42, 3), (80, 3), (42, 3)]
@@ -59,7 +66,13 @@ def make_body(name: str, triangles: int | None = None):
 
 def write_scene(name: str, directory, triangles: int | None = None) -> tuple[Path, int]:
     """Write ``directory/scene.xml``, its mesh and what else it needs; return the XML's path and the triangle count.
-    Raises ``BodyError`` and ``OSError``."""
+
+    name       one of ``BODIES``
+    directory  made where it isn't there
+    triangles  wanted; None: as many as the committed file has
+
+    Raises ``BodyError`` and ``OSError``.
+    """
     vertices, faces, normals = make_body(name, triangles)
     directory = Path(directory)
     (directory / "meshes").mkdir(parents=True, exist_ok=True)
@@ -72,9 +85,10 @@ def write_scene(name: str, directory, triangles: int | None = None) -> tuple[Pat
     return path, len(faces)
 
 
-def load(path, **values):
-    """Load a scene file with these parameters: its shapes one by one, not merged, since merged ones lose the names that error
-    messages need; and not in parallel, in which a film and a reflectance were once not made for no reason."""
-    import mitsuba as mi
+def load(path, **values) -> mi.Object:
+    """Load a scene file with these parameters.
 
+    Its shapes are not merged, as merged ones lose the names that error messages need. It is not loaded in parallel,
+    since a film and a reflectance were once not made then, for no reason.
+    """
     return mi.load_file(str(path), optimize=False, parallel=False, **values)

@@ -1,9 +1,8 @@
 """Star-shaped bodies, as deformed geodesic spheres with exact normals.
 
-Every generator returns ``(vertices, faces, normals)``: float64 (n, 3), int (m, 3)
-wound counter-clockwise seen from outside, and the unit outward normals of the
-smooth surface that the mesh samples. The number of triangles is the one of the
-form 20 f² that is nearest to what was asked for.
+Every generator returns ``(vertices, faces, normals)``. Vertices are float64 (V, 3). Faces are int (F, 3), wound
+counter-clockwise seen from outside. Normals (V, 3) are the unit outward ones of the smooth surface that the mesh
+samples. The number of triangles is the one of the form 20 f² that is nearest to what was asked for.
 """
 
 from __future__ import annotations
@@ -19,9 +18,12 @@ Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Bumps:
-    """Waves on a sphere: sum of amplitude/√waves · sin(k·direction + phase); lengths in radii.
+    """Waves on a sphere: the sum of amplitude/√waves · sin(k·direction + phase). Lengths are in radii.
 
-    ``amplitude``: root of the summed squared wave heights; ``wavelengths``: the shortest and the longest.
+    waves        their number
+    amplitude    root of the summed squared wave heights
+    wavelengths  the shortest and the longest
+    seed         of directions, lengths and phases
     """
 
     waves: int
@@ -42,6 +44,7 @@ GROOVE_WIDTH = 0.14
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3), normalized."""
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
@@ -91,9 +94,8 @@ def _cube_residual(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def rounded_cube(triangles: int) -> Mesh:
     """Cube of edge 1.64 with round edges and a groove along each of its mid-planes.
 
-    Newton's method along each direction: the implicit function rises
-    monotonically outwards, because the groove term falls by at most
-    2·GROOVE_DEPTH/e per axis against a norm of about CUBE_SIZE.
+    It is found by Newton's method along each direction. The implicit function rises monotonically outwards, because the
+    groove term falls by at most 2·GROOVE_DEPTH/e per axis, against a norm of about CUBE_SIZE.
     """
     d, faces = geodesic_sphere(nearest_frequency(triangles))
     r = CUBE_SIZE / (d**CUBE_POWER).sum(axis=1, keepdims=True) ** (1.0 / CUBE_POWER)

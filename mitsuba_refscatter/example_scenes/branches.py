@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .bodies import Mesh
 from .surface_nets import project, subdivide, surface_net
 
 BLEND = 0.04  # width of the smooth union, in scene units
@@ -11,8 +12,15 @@ MIN_TRIANGLES = 4000  # below, the grid no longer resolves the thinnest arms
 _BASE_TRIANGLES = 60000  # above, a coarser net is subdivided: grids grow with the cube
 
 
-def _fork(arm: np.ndarray, count: int, length: float, tilt: float, turn: float) -> list[np.ndarray]:
-    """Grow ``count`` thinner arms from the end of ``arm``, tilted away from its axis."""
+def _fork(arm: np.ndarray, count: int, length: float, tilt: float, azimuth: float) -> list[np.ndarray]:
+    """Grow thinner arms from the end of an arm, as rows like those of ``_arms``.
+
+    arm      row
+    count    of the new ones
+    length   of each
+    tilt     away from the arm's axis, radians
+    azimuth  of the first around the axis, radians
+    """
     start, radius = arm[3:6], arm[7]
     axis = start - arm[0:3]
     axis = axis / np.linalg.norm(axis)
@@ -21,7 +29,7 @@ def _fork(arm: np.ndarray, count: int, length: float, tilt: float, turn: float) 
     up = np.cross(side, axis)
     arms = []
     for i in range(count):
-        angle = turn + 2.0 * np.pi * i / count
+        angle = azimuth + 2.0 * np.pi * i / count
         out = np.cos(tilt) * axis + np.sin(tilt) * (np.cos(angle) * side + np.sin(angle) * up)
         out[1] += 0.35  # arms seek the light
         end = start + length * out / np.linalg.norm(out)
@@ -30,29 +38,29 @@ def _fork(arm: np.ndarray, count: int, length: float, tilt: float, turn: float) 
 
 
 def _arms() -> np.ndarray:
-    """Arms as rows (start, end, radius at start, radius at end): 1 trunk, then 3, 6 and 12.
+    """Arms as rows (start, end, radius at start, radius at end), (22, 8): 1 trunk, then 3, 6 and 12.
 
-    The angles keep arms that do not share a fork apart: where two sheets come
-    closer than the grid of the surface net, the mesh is not a manifold.
+    The angles keep arms that do not share a fork apart. Where two sheets come closer than the grid of the surface
+    net, the mesh is not a manifold.
     """
     generation = [np.array([0.0, -0.8, 0.0, 0.0, -0.3, 0.0, 0.24, 0.192])]
-    arms, turn = generation[:], 1.78
+    arms, azimuth = generation[:], 1.78
     for count, length, tilt in ((3, 0.52, 1.28), (2, 0.465, 0.91), (2, 0.39, 0.87)):
         generation = [
             child
             for i, parent in enumerate(generation)
-            for child in _fork(parent, count, length, tilt, turn + 0.76 * i)
+            for child in _fork(parent, count, length, tilt, azimuth + 0.76 * i)
         ]
         arms += generation
-        turn += 0.95
+        azimuth += 0.95
     return np.array(arms)
 
 
 def _round_cone(x: np.ndarray, arm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Signed distance and its gradient for the hull of two spheres.
 
-    The distance is the least over h of |x − c(h)| − r(h), c and r linear in h;
-    by the envelope theorem its gradient is the unit vector from c(h) to x.
+    The distance is the least over h of |x − c(h)| − r(h), with c and r linear in h. By the envelope theorem its
+    gradient is the unit vector from c(h) to x.
     """
     start, axis, r0, r1 = arm[0:3], arm[3:6] - arm[0:3], arm[6], arm[7]
     length = np.linalg.norm(axis)
@@ -79,9 +87,9 @@ def _field(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _net(triangles: int) -> tuple[np.ndarray, np.ndarray]:
     """Surface net with nearly ``triangles`` triangles: their number grows as 1/h²."""
     arms = _arms()
-    reach = arms[:, 6:].max() + 0.1
+    margin = arms[:, 6:].max() + 0.1
     ends = np.concatenate([arms[:, 0:3], arms[:, 3:6]])
-    low, high = ends.min(axis=0) - reach, ends.max(axis=0) + reach
+    low, high = ends.min(axis=0) - margin, ends.max(axis=0) + margin
     h, net = 0.05, None
     for _ in range(4):
         net = surface_net(_field, low, high, h)
@@ -92,11 +100,10 @@ def _net(triangles: int) -> tuple[np.ndarray, np.ndarray]:
     return net
 
 
-def branches(triangles: int):
-    """Coral of a trunk and three generations of arms, about 2 units high.
+def branches(triangles: int) -> Mesh:
+    """Coral of a trunk and three generations of arms, about 2 units high: ``(vertices, faces, normals)``.
 
-    Returns ``(vertices, faces, normals)``; the number of triangles is within
-    about 1 % of what was asked for, at least ``MIN_TRIANGLES``.
+    The number of triangles is within about 1 % of what was asked for, which must be at least ``MIN_TRIANGLES``.
     """
     if triangles < MIN_TRIANGLES:
         raise ValueError(f"branches needs at least {MIN_TRIANGLES} triangles, not {triangles}")

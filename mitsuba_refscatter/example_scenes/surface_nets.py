@@ -1,7 +1,7 @@
 """Closed triangle meshes of implicit surfaces (naive surface nets, Gibson 1998).
 
-``field(x)`` takes points (n, 3) and returns values (n), negative inside, and
-gradients (n, 3); it should be near a signed distance.
+``field(x)`` takes points (n, 3) and returns values (n,), negative inside, and gradients (n, 3). It should be near a
+signed distance.
 """
 
 from __future__ import annotations
@@ -75,12 +75,16 @@ def _split(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
     return split.reshape(-1, 3)
 
 
-def surface_net(field: Field, low: np.ndarray, high: np.ndarray, h: float):
-    """Mesh the zero surface with a grid of spacing ``h``: vertices and outward faces.
+def surface_net(field: Field, low: np.ndarray, high: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mesh the zero surface; return vertices (V, 3) and outward faces (F, 3).
 
-    The surface must lie inside the box and bend little over ``h``. A saddle of
-    the surface that happens to lie on a grid plane can leave two sheets in one
-    cell and an edge with four triangles: the grid is then shifted.
+    field  whose zero surface it is
+    low    corner (3,) of a box in which the surface lies
+    high   the opposite corner
+    h      spacing of the grid, over which the surface must bend little
+
+    A saddle of the surface that happens to lie on a grid plane can leave two sheets in one cell. Then an edge has four
+    triangles, and the grid is shifted.
     """
     shape = tuple(int(n) for n in np.ceil((high - low) / h + 4.0))
     for attempt in range(40):
@@ -98,8 +102,8 @@ def surface_net(field: Field, low: np.ndarray, high: np.ndarray, h: float):
     return project(field, x), faces
 
 
-def subdivide(field: Field, x: np.ndarray, faces: np.ndarray):
-    """Cut every triangle in four and move the new vertices onto the surface."""
+def subdivide(field: Field, x: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cut every triangle in four and move the new vertices onto the surface; return vertices and faces."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edges, inverse = np.unique(edges, axis=0, return_inverse=True)
     middle = project(field, 0.5 * (x[edges[:, 0]] + x[edges[:, 1]]))

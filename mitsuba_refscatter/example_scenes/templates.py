@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -197,8 +198,21 @@ def _stones() -> str:
 class Scene:
     """What one scene says: text in Mitsuba's notation, numbers in scene units.
 
-    ``sigma_t`` is multiplied by ``scale`` (Mitsuba wants rgb values in [0, 1]). ``lights``, ``objects``: elements of XML;
-    ``under``: whether the camera is in the body's medium; ``files``: what else the scene needs, name to bytes.
+    comment    at the head of the file
+    triangles  of the committed mesh
+    camera     its position
+    target     point that it looks at
+    fov        its field of view, degrees
+    lights     elements of XML
+    sigma_t    extinction coefficient as rgb, each in [0, 1] as Mitsuba wants it
+    albedo     of single scattering, rgb
+    scale      factor of ``sigma_t``
+    g          of the phase function; 0: isotropic
+    eta        index of refraction of the body, relative to air
+    rotation   element of XML that turns the body, or nothing
+    objects    elements of XML besides the body
+    under      whether the camera is in the body's medium
+    files      what else the scene needs: name, and function that makes the bytes
     """
 
     comment: str
@@ -215,14 +229,17 @@ class Scene:
     rotation: str = ""
     objects: str = ""
     under: bool = False
-    files: dict = field(default_factory=dict)
+    files: dict[str, Callable[[], bytes]] = field(default_factory=dict)
 
     def xml(self, name: str, triangles: int) -> str:
         """Return the scene file for a mesh of so many triangles."""
         medium = _MEDIUM.format(
-            name='id="medium"' if self.under else 'name="interior"', sigma_t=self.sigma_t, scale=self.scale, albedo=self.albedo,
+            name='id="medium"' if self.under else 'name="interior"',
+            sigma_t=self.sigma_t,
+            scale=self.scale,
+            albedo=self.albedo,
             phase=_HG.format(g=self.g) if self.g else '<phase type="isotropic"/>',
-        )  # fmt: skip
+        )
         return _SCENE.format(
             name=name,
             triangles=triangles,

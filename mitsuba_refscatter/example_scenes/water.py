@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from .bodies import Mesh
+
 WAVES = 14
 AMPLITUDE = 0.075  # in scene units, root of the summed squared wave heights
 WAVELENGTHS = (0.9, 3.0)
@@ -26,9 +28,11 @@ def _height(x: np.ndarray, z: np.ndarray) -> np.ndarray:
     return (np.sin(travel + phase) * height).sum(axis=-1) * np.exp(-(((x**2 + z**2) / CALM**2) ** 2))
 
 
-def water(triangles: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Square grid of 2 n² triangles about y = 0, open at its rim: ``(vertices, faces, normals)``, wound
-    counter-clockwise seen from above, with the normals of the smooth surface."""
+def water(triangles: int) -> Mesh:
+    """Square grid of 2 n² triangles about y = 0, open at its rim: ``(vertices, faces, normals)``.
+
+    It is wound counter-clockwise seen from above, and has the normals of the smooth surface.
+    """
     n = max(2, round((triangles / 2) ** 0.5))
     s = np.linspace(-1, 1, n + 1)
     x, z = np.meshgrid(MIDDLE * s + (RIM - MIDDLE) * s**9, MIDDLE * s + (RIM - MIDDLE) * s**9, indexing="ij")

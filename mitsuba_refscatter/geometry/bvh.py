@@ -1,9 +1,11 @@
 """A perfect binary tree over items: built level by level, traversed without a stack.
 
-Nodes are in heap order: the root is 1, the children of ``i`` are ``2 i`` and ``2 i + 1``, and with
-``depth`` levels below the root the leaves are ``2^depth .. 2^(depth+1) - 1``. A leaf holds ``LEAF``
-consecutive items. Node bounds belong to the caller, who gives a ``merge`` and a ``hit`` function.
+Nodes are in heap order: the root is 1, the children of ``i`` are ``2 i`` and ``2 i + 1``. With ``depth`` levels below
+the root the leaves are ``2^depth .. 2^(depth+1) - 1``. A leaf holds ``LEAF`` consecutive items. Node bounds belong to
+the caller, who gives a ``merge`` and a ``hit`` function.
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -20,15 +22,20 @@ LEAF = 4
 
 @dataclass
 class Tree:
-    """``nodes``: flat records of ``record`` numbers for 2^(depth+1) heap slots (slot 0 unused)."""
+    """A perfect binary tree.
 
-    nodes: object
+    nodes   Float, flat records of the nodes' bounds for 2^(depth+1) heap slots (slot 0 is not used)
+    record  numbers per node
+    depth   levels below the root
+    """
+
+    nodes: mi.Float
     record: int
     depth: int
 
 
 def depth_for(n_items):
-    """Levels below the root such that the leaves hold ``n_items``.
+    """Levels below the root such that the leaves hold ``n_items`` (int).
 
     >>> depth_for(LEAF), depth_for(LEAF + 1), depth_for(8 * LEAF)
     (0, 1, 3)
@@ -38,7 +45,7 @@ def depth_for(n_items):
 
 
 def median_order(points):
-    """Order of items for the tree: recursive median split along the widest axis. (N, 3) -> (N,) indices.
+    """Order of items for the tree, by recursive median splits along the widest axis: (N, 3) -> (N,) indices.
 
     Vectorised over the nodes of a level; the empty places at the end are sorted behind everything.
     """
@@ -62,7 +69,7 @@ def median_order(points):
 
 
 def morton_order(points):
-    """The same along a Morton curve: quicker to find, for trees that are walked once, and leaves are larger."""
+    """The same order along a Morton curve: quicker to find, for trees that are walked once, and leaves are larger."""
     low = points.min(axis=0)
     scale = (2.0**21 - 1) / max(float((points.max(axis=0) - low).max()), 1e-30)
     code = np.zeros(len(points), dtype=np.uint64)
@@ -81,13 +88,13 @@ def morton_order(points):
 
 
 def finite_inverse(d):
-    """1 / d of directions with zeros kept finite, for box tests."""
+    """1 / d of directions (Vector3f), finite also where d is 0, for box tests."""
     least = tolerances.LEAST_DIRECTION
     return mi.Vector3f(*(dr.rcp(dr.select(dr.abs(x) < least, dr.mulsign(least, x), x)) for x in d))
 
 
 def box(points):
-    """Smallest and largest coordinates of a list of points."""
+    """Smallest and largest coordinates of a list of points (Point3f or Vector3f)."""
     low = high = points[0]
     for p in points[1:]:
         low, high = dr.minimum(low, p), dr.maximum(high, p)
@@ -95,10 +102,13 @@ def box(points):
 
 
 def fold(leaf_bounds, depth, merge, pack, record):
-    """Builds the tree from the bounds of its leaves (a tuple of Dr.Jit arrays of width 2^depth).
+    """Builds the ``Tree`` from the bounds of its leaves. All levels run the same kernel.
 
-    ``merge(a, b)`` bounds two bounds; ``pack(bounds)`` gives the ``record`` numbers of a node. All
-    levels run the same kernel.
+    leaf_bounds  tuple of Dr.Jit arrays of width 2^depth
+    depth        int, levels below the root
+    merge        (bounds, bounds) -> bounds of both
+    pack         bounds -> list of the numbers of a node, Float each
+    record       int, how many these are, a multiple of 4
     """
     nodes = dr.empty(mi.Float, record << (depth + 1))
     bounds = leaf_bounds
@@ -117,10 +127,15 @@ def fold(leaf_bounds, depth, merge, pack, record):
 
 
 def walk(tree, width, visit, state):
-    """Takes ``width`` lanes through the tree depth first, without a stack.
+    """Takes lanes through the tree depth first, without a stack. Returns the final state.
 
-    ``visit(numbers, leaf, at_leaf, active, state) -> (enter, state)`` gets a node's numbers and, where
-    ``at_leaf``, the leaf's index; it says whether to go on below the node. Returns the final state.
+    tree   ``Tree``
+    width  int, number of lanes
+    visit  (numbers, leaf, at_leaf, active, state) -> (enter, state)
+    state  of a lane at the beginning, a Dr.Jit type or a tuple of them
+
+    ``visit`` gets a node's numbers and, where ``at_leaf`` (Bool), the leaf's index (UInt32). It says whether to go on
+    below the node.
     """
     first_leaf = dr.opaque(mi.UInt32, 1 << tree.depth)
 
@@ -139,11 +154,15 @@ def walk(tree, width, visit, state):
 
 
 def traverse(tree, lanes, hit, capacity):
-    """All (lane, leaf) pairs that ``hit`` does not exclude.
+    """All (lane, leaf) pairs that a test does not exclude: ``(lane, leaf, count)``.
 
-    ``lanes``: UInt32 indices of the queries; ``hit(numbers of a node) -> Bool``, conservative. Returns
-    ``(lane, leaf, count)``: two UInt32 arrays of ``capacity`` places, and the number of pairs found. Where
-    ``count > capacity`` the rest was counted but not stored: ask again for fewer lanes.
+    tree      ``Tree``
+    lanes     UInt32, indices of the queries
+    hit       (numbers of a node) -> Bool, conservative
+    capacity  int, places for pairs
+
+    ``lane`` and ``leaf`` are UInt32 arrays of ``capacity`` places, ``count`` is the number of pairs found. Where it is
+    larger than ``capacity`` the rest was counted but not stored: ask again for fewer lanes.
     """
     out_lane, out_leaf = dr.empty(mi.UInt32, capacity), dr.empty(mi.UInt32, capacity)
     counter = dr.zeros(mi.UInt32)

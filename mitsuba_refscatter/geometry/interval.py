@@ -1,5 +1,7 @@
 """The interval [0, 1]: where linear functions are positive, and quadrature."""
 
+from __future__ import annotations
+
 import functools
 
 import drjit as dr
@@ -8,8 +10,9 @@ import numpy as np
 
 
 def positive_part(ends):
-    """``(start, end)`` of the part of [0, 1] on which all functions are positive, each given by its values at 0 and
-    at 1; start > end where there is none.
+    """``(start, end)`` (Float) of the part of [0, 1] on which all linear functions are positive.
+
+    ``ends``: for each function its values (Float) at 0 and at 1. start > end where there is no such part.
 
     >>> positive_part([(mi.Float(-1), mi.Float(1)), (mi.Float(3), mi.Float(-1))])
     ([0.5], [0.75])
@@ -24,6 +27,6 @@ def positive_part(ends):
 
 @functools.cache
 def gauss_legendre(points):
-    """Gauss-Legendre nodes and weights on [0, 1] as Python floats."""
+    """Gauss-Legendre nodes and weights on [0, 1], as many as ``points``, as lists of Python floats."""
     x, w = np.polynomial.legendre.leggauss(points)
     return [float(v) for v in 0.5 * (x + 1)], [float(v) for v in 0.5 * w]

@@ -1,4 +1,10 @@
-"""Facts about a triangle mesh that decide whether and how it can be rendered. NumPy float64 only."""
+"""Facts about a triangle mesh that decide whether and how it can be rendered. NumPy float64 only.
+
+``vertices`` (V, 3) are positions, ``faces`` (F, 3) indices of vertices, ``corners`` (F, 3, 3) positions of the faces'
+corners.
+"""
+
+from __future__ import annotations
 
 import numpy as np
 
@@ -18,8 +24,9 @@ def weld(vertices, faces):
 def twins(faces):
     """Pairs each directed edge with its reverse.
 
-    Edge ``3 f + k`` runs from corner k of face f to corner k + 1. Returns the twin of each edge, -1 where it has none (a
-    hole), itself where its face has one vertex twice; or None if an edge has several, or faces are of inconsistent orientation.
+    Edge ``3 f + k`` runs from corner k of face f to corner k + 1. Returns the twin (3 F,) of each edge, -1 where it has
+    none (a hole), itself where its face has one vertex twice. Returns None if an edge has several, or if faces are of
+    inconsistent orientation.
 
     >>> twins(np.array([[0, 1, 2], [1, 0, 3]])).tolist()
     [3, -1, -1, 0, -1, -1]
@@ -42,9 +49,12 @@ def twins(faces):
 
 
 def faults(faces):
-    """Why ``twins`` is None: ``(repeated, crowded, triangles, turned)``, numbers from the lowest on. ``repeated``: triangles with the
-    corners of an earlier one; ``crowded``: edges (the first directed one of each) that ``triangles``, three or more, share;
-    ``turned``: edges of two triangles that run along them in the same direction.
+    """Why ``twins`` is None: ``(repeated, crowded, triangles, inconsistent)``, int arrays, indices from the lowest on.
+
+    repeated      triangles with the corners of an earlier one
+    crowded       edges (the first directed one of each) that three or more triangles share
+    triangles     how many share each of them
+    inconsistent  edges of two triangles that run along them in the same direction
 
     >>> [x.tolist() for x in faults(np.array([[0, 1, 2], [0, 1, 3]]))]
     [[], [], [], [0]]
@@ -58,13 +68,15 @@ def faults(faces):
     keys = edge_keys(tail[counts], head[counts], int(faces.max()) + 1)
     _, first, edge, number = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
     upwards = np.bincount(edge.reshape(-1), tail[counts] < head[counts])
-    crowded, turned = (np.flatnonzero(x) for x in (number > 2, (number == 2) & (upwards != 1)))
+    crowded, inconsistent = (np.flatnonzero(x) for x in (number > 2, (number == 2) & (upwards != 1)))
     crowded = crowded[np.argsort(first[crowded])]
-    return repeated, counts[first[crowded]], number[crowded], np.sort(counts[first[turned]])
+    return repeated, counts[first[crowded]], number[crowded], np.sort(counts[first[inconsistent]])
 
 
 def edge_keys(a, b, count):
-    """A number for each edge between two of ``count`` vertices, the same in both directions: lower x ``count`` + upper.
+    """A number for each edge between vertices ``a`` and ``b`` of ``count``, the same in both directions.
+
+    It is lower x ``count`` + upper.
 
     >>> edge_keys(np.array([1, 2]), np.array([2, 1]), 10).tolist()
     [12, 12]
@@ -95,8 +107,10 @@ def components(faces):
 
 
 def touches(corners, point):
-    """Whether the point lies on a triangle, to float32: it then sees it under half the sphere, or an edge from between
-    its ends."""
+    """Whether the ``point`` (3,) lies on a triangle, to float32.
+
+    It then sees the triangle under half the sphere, or an edge from between its ends.
+    """
     a, b, c = (corners[:, k] - point for k in range(3))
     size = np.ptp(corners.reshape(-1, 3), axis=0).max()
     angle, lengths = _solid_angles(a, b, c)
@@ -118,9 +132,12 @@ def _solid_angles(a, b, c):
 
 
 def is_convex(corners, normals, faces, twin):
-    """Whether a closed mesh with outward unit face ``normals`` bounds one convex body.
+    """Whether a closed mesh bounds one convex body: locally convex across every edge, one component, no handles.
 
-    Locally convex across every edge, one component, no handles.
+    corners  (F, 3, 3)
+    normals  (F, 3), unit, geometric, outward
+    faces    (F, 3)
+    twin     (3 F,), of each directed edge (``twins``)
     """
     size = np.ptp(corners.reshape(-1, 3), axis=0).max()
     face, opposite = np.arange(3 * len(faces)) // 3, np.roll(corners, -2, axis=1).reshape(-1, 3)
@@ -131,6 +148,6 @@ def is_convex(corners, normals, faces, twin):
 
 
 def encloses(corners, point):
-    """Whether the closed mesh with corners (F, 3, 3) encloses the point: its solid angle is 4 pi, not 0."""
+    """Whether the closed mesh encloses the ``point`` (3,): its solid angle is 4 pi, not 0."""
     a, b, c = (corners[:, k] - point for k in range(3))
     return bool(abs(_solid_angles(a, b, c)[0].sum()) > 2 * np.pi)

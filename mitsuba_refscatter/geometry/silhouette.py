@@ -2,12 +2,14 @@
 
 A light is given as ``light`` (3 numbers) and ``distant``: a point, or the unit direction to one that is infinitely far.
 
-Along a triangle the number of surfaces between it and a light changes only where the line of sight
-passes a silhouette edge (between a facet that faces the light and one that does not, or the edge of a hole). Triangles with no
-silhouette edge in front of them in the light's view are therefore all lit or all in shadow. Holds for
-meshes that do not cut through each other or themselves. A raster of the light's view (NumPy float64) settles most
-triangles, an exact test of all edges (Dr.Jit) the others.
+A silhouette edge lies between a facet that faces the light and one that does not, or is the edge of a hole. Along a
+triangle the number of surfaces between it and a light changes only where the line of sight passes such an edge.
+Triangles with no silhouette edge in front of them in the light's view are therefore all lit or all in shadow. That
+holds for meshes that do not cut through each other or themselves. A raster of the light's view (NumPy float64) settles
+most triangles, an exact test of all edges (Dr.Jit) the others.
 """
+
+from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
@@ -19,7 +21,14 @@ from .interval import positive_part
 
 
 def silhouette_edges(corners, normals, twin, light, distant):
-    """Edges (E, 2, 3) between facets that face the light and facets that do not, and those of holes."""
+    """Edges (E, 2, 3) between facets that face the light and facets that do not, and those of holes.
+
+    corners  (F, 3, 3)
+    normals  (F, 3), unit, geometric, outward
+    twin     (3 F,), of each directed edge (``mesh.twins``)
+    light    (3,), in the coordinates of the corners
+    distant  whether it is a direction
+    """
     to_light = np.broadcast_to(light, normals.shape) if distant else light - corners[:, 0]
     facing = np.einsum("fi,fi->f", normals, to_light) > 0
     edge = np.arange(len(twin))
@@ -28,9 +37,15 @@ def silhouette_edges(corners, normals, twin, light, distant):
 
 
 def uniform(corners, edges, light, distant):
-    """For each triangle of ``corners`` (F, 3, 3): True if none of ``edges`` (E, 2, 3) is in front of it as seen
-    from ``light``. Conservative on a raster of the light's view; False throughout where the view is too wide
-    or the edges too long for it."""
+    """For each triangle (F,): True if no edge is in front of it as seen from the light.
+
+    corners  (F, 3, 3)
+    edges    (E, 2, 3), in the same coordinates
+    light    (3,), the same
+    distant  whether it is a direction
+
+    Conservative on a raster of the light's view. False throughout where the view is too wide or the edges are too long.
+    """
     view, none = _view(corners, light, distant), np.zeros(len(corners), dtype=bool)
     if view is None:
         return none
@@ -105,9 +120,14 @@ def _least(raster, first, last):
 
 
 def covered(corners, normal, edges, skin, direction):
-    """Whether any edge is in front of triangles: lanes of three ``corners`` (Vector3f), the facet's ``normal``; edges
-    (E, 2, 3), all relative to the light, or to any place if it is distant in ``direction`` (None if it is not). Edges within
-    ``skin`` of a triangle's plane do not count."""
+    """Whether any edge is in front of triangles, lane by lane (Bool). Positions are relative to the light.
+
+    corners    three Vector3f
+    normal     Vector3f, unit, of the facet
+    edges      (E, 2, 3)
+    skin       float; edges within that distance of a triangle's plane do not count
+    direction  Vector3f, of a distant light, or None; positions are then relative to any place
+    """
     flat, count = arrays.array(mi.Float, np.ravel(edges)), dr.opaque(mi.UInt32, len(edges))
     skin = dr.opaque(mi.Float, skin)
     sides = []

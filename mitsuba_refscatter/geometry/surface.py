@@ -1,5 +1,7 @@
 """A tree over the triangles of a surface, whose nodes bound positions and normals."""
 
+from __future__ import annotations
+
 import drjit as dr
 import mitsuba as mi
 
@@ -8,10 +10,14 @@ from . import bvh, triangle
 
 
 class Surface:
-    """The tree over the triangles ``first_record ...`` of ``records``, whose centres decide their order.
+    """The tree over the triangles of a body, whose centres decide their order.
 
-    ``corners``: float64 (F, 3, 3); ``normals(tri)``: list of the normals to bound; ``pack(bounds)``: the ``width``
-    numbers of a node with ``bounds`` = (low, high, n_low, n_high), boxes of positions and normals.
+    records       the packed triangles of the body, and maybe others
+    first_record  int, index of the body's first triangle
+    corners       float64 (F, 3, 3), body coordinates
+    normals       ``Triangle`` -> list of the normals (Vector3f) to bound
+    pack          (low, high, n_low, n_high) -> list of the numbers of a node, from its boxes of positions and normals
+    width         int, how many these are
     """
 
     def __init__(self, records, first_record, corners, normals, pack, width):
@@ -22,11 +28,14 @@ class Surface:
         self.tree = bvh.fold(self._leaves(depth, normals), depth, _merge, pack, width)
 
     def member(self, leaf, j, active=True):
-        """Index and record of the ``j``-th triangle in leaves; places behind the end repeat the last one."""
+        """Index (UInt32) and ``Triangle`` of the ``j``-th in leaves (UInt32).
+
+        Places behind the end repeat the last one.
+        """
         return self.at(leaf * bvh.LEAF + j, active)
 
     def at(self, place, active=True):
-        """Index and record of the triangles at places of the tree's order."""
+        """Index (UInt32) and ``Triangle`` at places (UInt32) of the tree's order."""
         place = dr.minimum(place, dr.opaque(mi.UInt32, self.count - 1))
         index = dr.gather(mi.UInt32, self.order, place, active)
         return index, triangle.gather(self.records, index, active)

@@ -1,9 +1,11 @@
 """A triangle with interpolated normals: ``P(u, v)``, ``n(u, v)`` and their derivatives; and a curved one, a patch.
 
-Record of a triangle in a flat float array, ``RECORD`` numbers each:
-``P0, P_u, P_v, n0, n_u, n_v`` (3 numbers each) and the unit geometric normal ``Ng``, padded. That of a patch, ``PATCH`` numbers: the
-same, and how far P and n are from linear in the middles of the edges, ``D01, D12, D20``.
+The record of a triangle in a flat float array has ``RECORD`` numbers: ``P0, P_u, P_v, n0, n_u, n_v`` (3 numbers each)
+and the unit geometric normal ``Ng``, padded. That of a patch has ``PATCH`` numbers: the same, and how far P and n are
+from linear in the middles of the edges 01, 12, 20.
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -16,15 +18,22 @@ RECORD, PATCH = 24, 40
 
 @dataclass
 class Triangle:
-    """Triangles gathered for some lanes; ``u`` and ``v`` are the weights of the second and third corner."""
+    """Triangles, lane by lane, body coordinates; u and v are the weights of the second and third corner.
 
-    P0: object
-    P_u: object
-    P_v: object
-    n0: object
-    n_u: object
-    n_v: object
-    Ng: object
+    P0        Vector3f, first corner
+    P_u, P_v  Vector3f, from there to the second and third
+    n0        Vector3f, unit normal at the first corner, outward
+    n_u, n_v  Vector3f, differences of the normals at the second and third to that
+    Ng        Vector3f, unit geometric normal, outward
+    """
+
+    P0: mi.Vector3f
+    P_u: mi.Vector3f
+    P_v: mi.Vector3f
+    n0: mi.Vector3f
+    n_u: mi.Vector3f
+    n_v: mi.Vector3f
+    Ng: mi.Vector3f
 
     curved = False
 
@@ -37,7 +46,7 @@ class Triangle:
         return self.P_u, self.P_v
 
     def normal_before(self, u, v):
-        """Interpolated normal of any length."""
+        """Interpolated normal at (u, v), of any length."""
         return dr.fma(self.n_v, v, dr.fma(self.n_u, u, self.n0))
 
     def normal_slopes(self, _u, _v):
@@ -45,29 +54,29 @@ class Triangle:
         return self.n_u, self.n_v
 
     def controls(self):
-        """Bezier control points of positions, and of normals: both are inside their hulls."""
+        """Bezier control points of positions, and of normals, two lists: both are inside their hulls."""
         return self.corners(), self.corner_normals()
 
     def corners(self):
-        """Positions of the corners."""
+        """Positions of the corners, three Vector3f."""
         return [self.P0, self.P0 + self.P_u, self.P0 + self.P_v]
 
     def ball(self):
-        """Centre and radius of a sphere around the triangle."""
+        """Centre (Vector3f) and radius (Float) of a sphere around the plane triangle."""
         centre = self.P0 + (self.P_u + self.P_v) / 3
         a, b, c = (dr.norm(p - centre) for p in self.corners())
         return centre, dr.maximum(a, dr.maximum(b, c))
 
     def corner_normals(self):
-        """Unit normals at the corners."""
+        """Unit normals at the corners, three Vector3f."""
         return [self.n0, self.n0 + self.n_u, self.n0 + self.n_v]
 
     def normal(self, u, v):
-        """Unit interpolated normal."""
+        """Unit interpolated normal at (u, v)."""
         return dr.normalize(self.normal_before(u, v))
 
     def normal_derivative(self, u, v, a, b):
-        """Unit interpolated normal and its derivative in the direction ``(a, b)`` of the (u, v) plane."""
+        """Unit interpolated normal at (u, v) and its derivative in the direction (a, b) of the (u, v) plane."""
         m = self.normal_before(u, v)
         r = dr.rsqrt(dr.squared_norm(m))
         n = m * r
@@ -78,12 +87,17 @@ class Triangle:
 
 @dataclass
 class Patch(Triangle):
-    """A triangle whose positions and normals are quadratic in (u, v), through values given at its corners and the middles of its
-    edges; ``P_u``, ``P_v``, ``n_u``, ``n_v`` and ``Ng`` are those of the plane triangle through the corners. ``P2``, ``n2``: what is
-    to be added to linear values in the middles of the edges 01, 12, 20."""
+    """Triangles whose positions and normals are quadratic in (u, v), lane by lane, body coordinates.
 
-    P2: list
-    n2: list
+    They go through values at the corners and at the middles of the edges 01, 12, 20. The fields of ``Triangle`` are
+    those of the plane triangle through the corners.
+
+    P2  three Vector3f, what is to be added to linear positions in the middles of the edges
+    n2  three Vector3f, the same for normals
+    """
+
+    P2: list[mi.Vector3f]
+    n2: list[mi.Vector3f]
     curved = True
 
     def position(self, u, v):
@@ -112,14 +126,18 @@ def _add_quadratic(linear, middles, u, v):
 
 def _add_slopes(linear, middles, u, v):
     a, b, c = middles
-    return (linear[0] + 4 * (a * (1 - 2 * u - v) + (b - c) * v), linear[1] + 4 * ((b - a) * u + c * (1 - u - 2 * v)))  # fmt: skip
+    by_u, by_v = a * (1 - 2 * u - v) + (b - c) * v, (b - a) * u + c * (1 - u - 2 * v)
+    return linear[0] + 4 * by_u, linear[1] + 4 * by_v
 
 
 @dataclass
 class Patches:
-    """Records of patches; in the place of records of triangles."""
+    """Records of patches, in the place of records of triangles.
 
-    numbers: object
+    numbers  Float, flat, ``PATCH`` numbers per patch
+    """
+
+    numbers: mi.Float
 
 
 def geometric_normal(corners):
@@ -130,13 +148,24 @@ def geometric_normal(corners):
 
 
 def pack(corners, normals, Ng):
-    """Triangle records (flat float32) from corner positions and outward unit corner normals (F, 3, 3), and
-    the outward unit geometric normals (F, 3)."""
+    """Triangle records (flat float32, ``RECORD`` numbers each).
+
+    corners  (F, 3, 3), body coordinates
+    normals  (F, 3, 3), unit, outward, at the corners
+    Ng       (F, 3), unit, geometric, outward
+    """
     return _records(corners, normals, Ng, RECORD).ravel()
 
 
 def pack_patches(corners, normals, Ng, P2, n2):
-    """Records of patches: as ``pack``, with ``P2`` and ``n2`` (F, 3, 3), what is to be added to linear values in the middles of edges."""
+    """Records of patches (flat float32, ``PATCH`` numbers each).
+
+    corners  as of ``pack``
+    normals  as of ``pack``
+    Ng       as of ``pack``
+    P2       (F, 3, 3), what is to be added to linear positions in the middles of the edges
+    n2       (F, 3, 3), the same for normals
+    """
     record = _records(corners, normals, Ng, PATCH)
     record[:, 21:39] = np.concatenate([P2, n2], axis=1).reshape(len(corners), 18)
     return record.ravel()
@@ -152,7 +181,7 @@ def _records(corners, normals, Ng, size):
 
 
 def gather(records, index, active=True):
-    """The triangles at ``index`` of the packed ``records``, or the patches of ``Patches``."""
+    """The ``Triangle`` at ``index`` (UInt32) of packed ``records`` (Float), or the ``Patch`` of ``Patches``."""
     patches = isinstance(records, Patches)
     x = gather_numbers(records.numbers if patches else records, index, PATCH if patches else RECORD, active)
     fields = [mi.Vector3f(x[i : i + 3]) for i in range(0, 39 if patches else 21, 3)]
@@ -160,7 +189,13 @@ def gather(records, index, active=True):
 
 
 def gather_numbers(records, index, count, active=True):
-    """``count`` numbers per record, a multiple of 4, as a list; packets of 4 are single loads."""
+    """The numbers of records as a list of Float; packets of 4 are single loads.
+
+    records  Float, flat
+    index    UInt32, of the records
+    count    int, numbers per record, a multiple of 4
+    active   Bool, those that are asked for
+    """
     out = []
     for k in range(count // 4):
         out.extend(dr.gather(mi.Vector4f, records, index * (count // 4) + k, active))
@@ -168,7 +203,12 @@ def gather_numbers(records, index, count, active=True):
 
 
 def scatter_numbers(records, values, index):
-    """Writes one record of ``len(values)`` numbers, a multiple of 4, per lane."""
+    """Writes one record per lane.
+
+    records  Float, flat
+    values   list of Float, numbers of a record, a multiple of 4
+    index    UInt32, of the records
+    """
     n = len(values) // 4
     for k in range(n):
         dr.scatter(records, mi.Vector4f(*values[4 * k : 4 * k + 4]), index * n + k)

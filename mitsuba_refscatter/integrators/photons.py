@@ -104,7 +104,8 @@ class PhotonIntegrator(RefscatterIntegrator):
         found, lengths = photons.join([x[0] for x in shot]), arrays.concat([x[1] for x in shot])
         sigma_t = region.coefficients(media.visible(), found.omega)[1]
         radius = photons.radius_of(opt.radius or tolerances.PHOTON_RADIUS * body.size, number, opt.alpha, opt.mode)
-        return photons.store(found, lengths, sigma_t, opt.mode == "beams", radius, body, _sampler(len(lengths), rng))
+        blur = photons.Blur(opt.mode == "beams", radius)
+        return photons.store(found, lengths, sigma_t, blur, body, _sampler(len(lengths), rng))
 
 
 def _target(prepared, region, body, emitter):

@@ -79,14 +79,22 @@ class Illumination(optics.Incidence):
             return mi.Bool(True), mi.Bool(False)
         return (mi.Bool(False), mi.Bool(False)) if taken.reach is None else taken.reach.known(u, v, s)
 
-    def visible(self, P, Ng, omega, u, v, s, taken, active):
-        """``active`` where nothing is in the way from the light to ``P``, at (u, v), and on to P + s omega."""
+    def visible(self, P, uv, omega, s, taken, active):
+        """``active`` (Bool) where nothing is in the way from the light to P and on to P + s omega.
+
+        P      Point3f, on a triangle
+        uv     (u, v), its place there
+        omega  Vector3f, unit direction of the refracted light
+        s      Float, length of the way behind P
+        taken  ``culling.pairs.Taken``, the triangle and what is proven of it
+        """
         if self.inside is not None:
-            free, blocked = self._inside(u, v, s, taken)
+            free, blocked = self._inside(*uv, s, taken)
             active = active & ~blocked
-            active &= free | self.inside(P, Ng, omega, s, active & ~free)
+            active &= free | self.inside(P, taken.tri.Ng, omega, s, active & ~free)
         if self.lit is not None:
-            active = active & (taken.proven_lit | self.lit(P, Ng, self.light.L, active & ~taken.proven_lit))
+            unproven = active & ~taken.proven_lit
+            active = active & (taken.proven_lit | self.lit(P, taken.tri.Ng, self.light.L, unproven))
         return active
 
 

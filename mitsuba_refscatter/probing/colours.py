@@ -2,8 +2,8 @@
 
 import colorsys
 
-TURN = 0.6180339887
-"""Of the colour circle, from one to the next: the golden section keeps neighbours apart."""
+STEP = 0.6180339887
+"""From one colour to the next, as a part of the circle: the golden section keeps neighbours apart."""
 
 START = 0.55
 """Place of the first on the circle, from red: blue."""
@@ -11,7 +11,7 @@ START = 0.55
 
 def hue(i):
     """Place of colour number ``i`` on the circle, in [0, 1)."""
-    return (START + i * TURN) % 1
+    return (START + i * STEP) % 1
 
 
 def colour(place):

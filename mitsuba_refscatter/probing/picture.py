@@ -1,9 +1,21 @@
-"""A probe as a picture: radiance per unit length over the distance along the segment."""
+"""A probe as a picture: the luminance of radiance per unit length over the distance along the segment."""
+
+from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 
+from ..benchmarks import plotting
+from ..image_io import luminance
 from .colours import colours
-from .curves import luminance
+from .records import Probe
+
+SIZE = 12.8, 10.0
+"""Width and height, inches."""
+
+DPI = 100
+"""Pixels per inch."""
 
 ROOM = 1.25
 """Height of the picture relative to the largest mean of the total."""
@@ -12,31 +24,28 @@ DECADES = 1e-4, 10.0
 """What is shown of single triangles relative to that; their poles go beyond."""
 
 
-def draw(probe, path):
-    """Draws a ``Probe`` as PNG of 1280 x 1000 pixels: the total with its peaks and the samples of the estimator ``point``; each triangle's part with
-    its folds; the triangles' intervals. Radiance is shown as its luminance."""
-    import matplotlib
+def draw(probe: Probe, path: str | Path) -> None:
+    """Draw a probe as PNG of 1280 x 1000 pixels.
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, panels = pyplot.subplots(
-        3, 1, figsize=(12.8, 10), sharex=True, height_ratios=(3, 3, 1.6), layout="constrained"
-    )
+    From above: the total with its peaks and the samples of the estimator ``point``; each triangle's part with its
+    folds; the triangles' intervals.
+    """
+    size = SIZE[0], SIZE[1] / 3
+    figure, panels = plotting.subplots(3, size=size, sharex=True, height_ratios=(3, 3, 1.6))
+    total, triangles, intervals = panels[:, 0]
     top = ROOM * max(luminance(probe.radiance).max(), 1e-30)
-    _total(panels[0], probe, top)
-    _triangles(panels[1], probe, top)
-    _intervals(panels[2], probe)
+    _total(total, probe, top)
+    _triangles(triangles, probe, top)
+    _intervals(intervals, probe)
     segment = probe.segments[probe.segment]
-    panels[2].set(xlim=(0, segment.length), xlabel="distance along the segment (unit of the scene)")
+    intervals.set(xlim=(0, segment.length), xlabel="distance along the segment (unit of the scene)")
     figure.suptitle(
-        f"pixel ({probe.pixel[0]}, {probe.pixel[1]}), segment {probe.segment} of {len(probe.segments)} in {segment.region}: "
-        f"length {segment.length:.4g}, weight {segment.weight.mean():.3g}, "
+        f"pixel ({probe.pixel[0]}, {probe.pixel[1]}), segment {probe.segment} of {len(probe.segments)} in "
+        f"{segment.region}: length {segment.length:.4g}, weight {segment.weight.mean():.3g}, "
         f"radiance {luminance(probe.integral):.4g} (estimator curve: {luminance(probe.estimated):.4g})",
         fontsize=11,
     )
-    figure.savefig(path, dpi=100, format="png")
-    pyplot.close(figure)
+    plotting.save(figure, path, DPI)
 
 
 def _total(panel, probe, top):
@@ -59,7 +68,7 @@ def _total(panel, probe, top):
 
 
 def _triangles(panel, probe, top):
-    """Each triangle's part in its own colour, broken where its curve is; folds as dashed lines. On a logarithmic scale."""
+    """Each triangle's part in its own colour, broken where its curve is, on a logarithmic scale; folds dashed."""
     curve, number = probe.curve, len(probe.triangles.triangle)
     y = luminance(curve.radiance)
     y = np.where(np.isfinite(y), y, DECADES[1] * top)

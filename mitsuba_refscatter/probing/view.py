@@ -1,8 +1,13 @@
-"""A probe in space: body, camera ray, light paths, and the curve on the body, as an HTML file that needs nothing else."""
+"""A probe in space, as an HTML file that needs nothing else: body, camera ray, light paths, curve on the body."""
+
+from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 
 from .colours import colour, hue
+from .records import Probe
 
 PATHS = 24
 """Light paths that are shown."""
@@ -17,14 +22,14 @@ AROUND = 2.0
 """How far around the segment and the curve bodies are shown, relative to the diagonal of their box."""
 
 OUTSIDE = 0.6
-"""How far rays to the camera and to lights are drawn, relative to the diagonal of the box of what is shown of bodies."""
+"""How far rays to camera and lights are drawn, relative to the diagonal of the box of what is shown of bodies."""
 
 AT_LIGHT = 1e-3
 """How near to a light a path that is drawn so far ends at it, relative to that length."""
 
 
-def write(probe, path):
-    """Writes a ``Probe`` as HTML: drag to turn, roll to zoom, click in the legend to hide."""
+def write(probe: Probe, path: str | Path) -> None:
+    """Write a probe as HTML: drag to rotate, roll to zoom, click in the legend to hide."""
     from plotly import graph_objects
 
     figure = graph_objects.Figure(layout=_layout(probe))
@@ -37,8 +42,8 @@ def write(probe, path):
             name = boundary.name if near.all() else f"{boundary.name}, near the segment"
             figure.add_trace(_mesh(graph_objects, boundary.corners[near], name))
             ends += [f(boundary.corners[near], axis=(0, 1)) for f in (np.min, np.max)]
-    reach = OUTSIDE * np.linalg.norm(np.ptp(np.clip(ends, low, high), axis=0))
-    for line in (*_camera_ray(probe, reach), *_light_paths(probe, reach), *_curve(probe)):
+    farthest = OUTSIDE * np.linalg.norm(np.ptp(np.clip(ends, low, high), axis=0))
+    for line in (*_camera_ray(probe, farthest), *_light_paths(probe, farthest), *_curve(probe)):
         figure.add_trace(graph_objects.Scatter3d(**line))
     figure.write_html(path, include_plotlyjs=True, config={"displaylogo": False})
 
@@ -105,12 +110,17 @@ def _polylines(lines):
     return dict(zip("xyz", np.concatenate([lines, gap], axis=1).reshape(-1, 3).T))
 
 
-def _line(name, lines, colour, width, **more):
-    return {**_polylines(lines), "mode": "lines", "name": name, "line": {"color": colour, "width": width}, "hoverinfo": "name", **more}  # fmt: skip
+def _line(name, lines, colour, width):
+    """Lines (n, k, 3) of one name, as plotly takes them."""
+    style = {"color": colour, "width": width}
+    return {**_polylines(lines), "mode": "lines", "name": name, "line": style, "hoverinfo": "name"}
 
 
-def _camera_ray(probe, reach):
-    """The camera ray: its segments, the probed one thick; and the way from the first surface to the camera."""
+def _camera_ray(probe, farthest):
+    """The camera ray: its segments, the probed one thick; and the way from the first surface to the camera.
+
+    farthest  length of that which is drawn, at most
+    """
     ways = [[s.origin, s.origin + s.length * s.direction] for s in probe.segments]
     yield _line(f"segment {probe.segment}, probed", [ways[probe.segment]], "#d62728", 8)
     others = [way for k, way in enumerate(ways) if k != probe.segment]
@@ -119,11 +129,14 @@ def _camera_ray(probe, reach):
     start, first = probe.camera
     length = np.linalg.norm(start - first)
     if length > 0:
-        yield _line("to the camera", [[first, first + (start - first) * min(1, reach / length)]], "#d62728", 3)
+        yield _line("to the camera", [[first, first + (start - first) * min(1, farthest / length)]], "#d62728", 3)
 
 
-def _light_paths(probe, reach):
-    """Some light paths, evenly spread over the radiance that they bring."""
+def _light_paths(probe, farthest):
+    """Some light paths, evenly spread over the radiance that they bring.
+
+    farthest  length outside of the body that is drawn, at most
+    """
     curve, segment = probe.curve, probe.segments[probe.segment]
     order = np.argsort(curve.distance[:, 1], kind="stable")
     brought = np.cumsum(curve.integral.sum(axis=1)[order])
@@ -135,10 +148,10 @@ def _light_paths(probe, reach):
     V = segment.origin + curve.distance[chosen, 1, None] * segment.direction
     where = np.array([light.position for light in probe.lights])[curve.light[chosen]]
     distant = np.array([light.distant for light in probe.lights])[curve.light[chosen], None]
-    to_light = np.where(distant, reach * where, where - P)
-    to_light *= np.minimum(1, reach / np.linalg.norm(to_light, axis=1, keepdims=True))
+    to_light = np.where(distant, farthest * where, where - P)
+    to_light *= np.minimum(1, farthest / np.linalg.norm(to_light, axis=1, keepdims=True))
     yield _line(f"{len(chosen)} light paths", np.stack([P + to_light, P, V], axis=1), "#e8a200", 2)
-    near = ~distant[:, 0] & (np.linalg.norm(P + to_light - where, axis=1) <= AT_LIGHT * reach)
+    near = ~distant[:, 0] & (np.linalg.norm(P + to_light - where, axis=1) <= AT_LIGHT * farthest)
     if near.any():
         lights = np.unique(where[near], axis=0).astype(np.float32)
         yield {

@@ -40,11 +40,12 @@ class Scene:
     index2         Float by region: square of the index of refraction relative to the outermost
     owner          UInt32 by region: the closed body whose inside it is, or NONE
     thin           Bool by body, whether it is a thin sheet; None where none is
-    straight       UInt32 by body, what it counts for light to go straight through it: 1 or ``ONCE``, 0 if light can't; None
-                   where none can be gone through
+    straight       UInt32 by body, what it counts for light to go straight through it: 1 or ``ONCE``, 0 if light
+                   can't; None where none can be gone through
     passed         the bodies that light goes straight through
     others         shapes that are no bodies
-    mirrors        Float by the number of a shape: largest coordinate, world, of mirrors, else 0; None where there are none
+    mirrors        Float by the number of a shape: largest coordinate, world, of mirrors, else 0; None where there
+                   are none
     records_key    what ``records`` were made from
     geometry       changes where any shape moves or changes its form; None where that is not known
     """

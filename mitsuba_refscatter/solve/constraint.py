@@ -1,36 +1,47 @@
 """The constraint that a refracted light path L -> P -> V fulfils, with its derivatives.
 
-With unit directions omega_L from P to the light and omega_V from P to V = o + t d let q = omega_L + eta omega_V.
-Light from L is refracted at P to V where q is parallel to the normal n, with both directions on their sides of the
-surface. The residual of this, given together with its 3 x 3 Jacobian by (t, u, v), is q x n, for every eta. At eta = 1, where q
-itself is 0 and normals play no part, q is another one, better at grazing incidence. The published one, sign(eta - 1) q / |q| + n
-(Walter et al. 2009; Holzschuch 2015), loses digits as eta goes to 1, where |q| goes to |eta - 1|.
+With unit directions omega_L from P to the light and omega_V from P to V = o + t d let q = omega_L + eta omega_V. Light
+from L is refracted at P to V where q is parallel to the normal n, and both directions are on their sides of the
+surface. The residual of this is q x n for every eta, given together with its 3 x 3 Jacobian by (t, u, v). At eta = 1,
+where q itself is 0 and normals play no part, q is another residual, better at grazing incidence.
 
-In all omega_V points into the body on the line through P and V, so that a root may also have V
-behind P (s < 0): callers test ``s``.
+The published residual is sign(eta - 1) q / |q| + n (Walter et al. 2009; Holzschuch 2015). It loses digits as eta goes
+to 1, where |q| goes to |eta - 1|.
+
+In all omega_V points into the body on the line through P and V. So a root may also have V behind P (s < 0): callers
+test ``s``.
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
 import drjit as dr
+import mitsuba as mi
 
 
 @dataclass
 class Residual:
-    """A residual (3 numbers) and its derivatives by t, u and v: the columns of its Jacobian."""
+    """A residual and the columns of its Jacobian, lane by lane, in single or double precision.
 
-    value: object
-    by_t: object
-    by_u: object
-    by_v: object
+    value  Vector3f
+    by_t   Vector3f, derivative by t
+    by_u   Vector3f, derivative by u
+    by_v   Vector3f, derivative by v
+    """
+
+    value: mi.Vector3f
+    by_t: mi.Vector3f
+    by_u: mi.Vector3f
+    by_v: mi.Vector3f
 
     def times(self, f, f_t, f_u, f_v):
-        """The residual times a function, given with its derivatives."""
+        """The residual times a function ``f`` (Float), given with its derivatives by t, u and v."""
         parts = ((self.by_t, f_t), (self.by_u, f_u), (self.by_v, f_v))
         return Residual(self.value * f, *(by * f + self.value * f_x for by, f_x in parts))
 
     def tangent(self):
-        """A vector along the curve residual = 0 in (t, u, v), of any length and sign.
+        """A vector (Vector3f) along the curve residual = 0 in (t, u, v), of any length and sign.
 
         The cross product of two rows of the Jacobian, which has rank 2 there; those two that make it largest.
         """
@@ -48,36 +59,52 @@ class Residual:
 
 @dataclass
 class Connection:
-    """The path from the light over P to V: unit directions from P, distances (``s`` is negative where V is on the
-    light's side), the normal, q, and their derivatives."""
+    """The path from the light over P to V, body coordinates, lane by lane, in single or double precision.
 
-    P: object
-    n: object
-    omega_L: object
-    d_L: object
-    omega_V: object
-    s: object
-    q: object
-    q_t: object
-    q_u: object
-    q_v: object
-    n_u: object
-    n_v: object
-    s_t: object
-    s_u: object
-    s_v: object
+    P              Point3f, on the triangle
+    n              Vector3f, unit interpolated normal
+    omega_L        Vector3f, unit direction from P to the light
+    d_L            Float, distance of the light (1 if it is distant)
+    omega_V        Vector3f, unit direction from P into the body on the line to V
+    s              Float, distance of V, negative where it is on the light's side
+    q              Vector3f, omega_L + eta omega_V
+    q_t, q_u, q_v  Vector3f, derivatives of q by t, u and v
+    n_u, n_v       Vector3f, derivatives of n by u and v
+    s_t, s_u, s_v  Float, derivatives of s by t, u and v
+    """
+
+    P: mi.Point3f
+    n: mi.Vector3f
+    omega_L: mi.Vector3f
+    d_L: mi.Float
+    omega_V: mi.Vector3f
+    s: mi.Float
+    q: mi.Vector3f
+    q_t: mi.Vector3f
+    q_u: mi.Vector3f
+    q_v: mi.Vector3f
+    n_u: mi.Vector3f
+    n_v: mi.Vector3f
+    s_t: mi.Float
+    s_u: mi.Float
+    s_v: mi.Float
 
     def cross(self):
         """``Residual`` q x n."""
         return Residual(
-            dr.cross(self.q, self.n), dr.cross(self.q_t, self.n),
-            dr.cross(self.q_u, self.n) + dr.cross(self.q, self.n_u), dr.cross(self.q_v, self.n) + dr.cross(self.q, self.n_v),
-        )  # fmt: skip
+            dr.cross(self.q, self.n),
+            dr.cross(self.q_t, self.n),
+            dr.cross(self.q_u, self.n) + dr.cross(self.q, self.n_u),
+            dr.cross(self.q_v, self.n) + dr.cross(self.q, self.n_v),
+        )
 
     def residual(self, straight, length=None):
-        """``Residual`` for Newton's method: q if eta is 1 (``straight``), else q x n.
+        """``Residual`` for Newton's method.
 
-        Times s / ``length`` where that is given: continuous where P passes V, so that V may lie next to the surface.
+        straight  whether eta is 1: it is then q, else q x n
+        length    Float; where it is given the residual is multiplied by s / ``length``
+
+        The product is continuous where P passes V, so that V may lie next to the surface.
         """
         c = Residual(self.q, self.q_t, self.q_u, self.q_v) if straight else self.cross()
         if length is None:
@@ -85,8 +112,9 @@ class Connection:
         return c.times(*(x / length for x in (self.s, self.s_t, self.s_u, self.s_v)))
 
     def distance_correction(self, tri):
-        """D: light that is refracted at P spreads at V as from a source at distance sqrt(D) (Walter et al. 2009;
-        here in one form for interpolated and for facet normals):
+        """D (Float): light refracted at P spreads at V as from a source at distance sqrt(D) (Walter et al. 2009).
+
+        Here in one form for interpolated and for facet normals of a triangle ``tri``:
 
             D = s^2 d_L^2 |J| / (|omega_L . n| |omega_V . Ng| |P_u x P_v|),
             J = n . [(q_u - mu n_u) x (q_v - mu n_v)],   mu = q . n
@@ -99,7 +127,14 @@ class Connection:
 
 
 def connect(tri, incidence, V, d, u, v):
-    """``Connection`` of the light of an ``optics.Incidence``, the point (u, v) of triangles and ``V``, which moves along ``d``."""
+    """``Connection`` of light, points of triangles and V.
+
+    tri        ``triangle.Triangle``
+    incidence  ``optics.Incidence`` of the light
+    V          Point3f, body coordinates
+    d          Vector3f, unit direction in which V moves with t
+    u, v       Float, the points' place in the triangles
+    """
     light, eta = incidence.light, incidence.eta
     P = tri.position(u, v)
     n, n_u = tri.normal_derivative(u, v, 1, 0)

@@ -1,9 +1,12 @@
 """Newton's method for three equations in two unknowns that have a common root. Knows no optics."""
 
+from __future__ import annotations
+
 import enum
 from dataclasses import dataclass
 
 import drjit as dr
+import mitsuba as mi
 
 
 class Status(enum.IntEnum):
@@ -20,10 +23,14 @@ class Status(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Limits:
-    """Of the iteration, in units of the unknowns: ``step``: a root is found when the next step is shorter;
-    ``longest``: longer steps are shortened to it; ``iterations``: evaluations of the system at most;
-    ``parallel``: square of the sine between the Jacobian's columns below which it is singular; ``rounding``: size of
-    residuals that are rounding errors."""
+    """Of the iteration, lengths in units of the unknowns.
+
+    step        a root is found when the next step is shorter
+    longest     longer steps are shortened to it
+    iterations  evaluations of the system, at most
+    parallel    square of the sine between the Jacobian's columns below which it is singular
+    rounding    size of residuals that are rounding errors
+    """
 
     step: float
     longest: float
@@ -34,25 +41,54 @@ class Limits:
 
 @dataclass
 class Solution:
-    """The unknowns ``x`` (two numbers), the ``Status`` (UInt32) and the number of evaluations."""
+    """How each lane ended, in single or double precision.
 
-    x: tuple
-    status: object
-    iterations: object
+    x           the two unknowns, Float each
+    status      UInt32, ``Status``
+    iterations  UInt32, number of evaluations
+    """
+
+    x: tuple[mi.Float, mi.Float]
+    status: mi.UInt32
+    iterations: mi.UInt32
 
     @property
     def converged(self):
-        """Whether each lane's is a solution."""
+        """Whether each lane's is a solution (Bool)."""
         return self.status == int(Status.CONVERGED)
 
 
-def solve(system, x, domain, limits, active=True):
-    """Solves ``system`` from the start ``x`` = (x0, x1).
+@dataclass
+class _State:
+    """Of the loop, lane by lane.
 
-    ``system(x0, x1) -> (r, c0, c1)``: residual and its two derivatives (vectors of 3 numbers), always together.
-    ``domain(x0, x1) -> Bool``: where the iteration may be. Each step is that of the pseudo-inverse,
-    -(J^T J)^-1 J^T r; where the residual has grown it is taken back and halved. Lanes that are not ``active`` are
-    judged at their start and go no further. Returns a ``Solution``.
+    x        the two unknowns, Float each
+    step     the next step, Float each
+    size2    Float, square of the residual at ``x``
+    verdict  UInt32, the ``Status``, or ``_GO_ON``
+    count    UInt32, number of evaluations
+    going    Bool, whether the lane goes on
+    """
+
+    x: tuple[mi.Float, mi.Float]
+    step: tuple[mi.Float, mi.Float]
+    size2: mi.Float
+    verdict: mi.UInt32
+    count: mi.UInt32
+    going: mi.Bool
+
+
+def solve(system, x, domain, limits, active=True):
+    """The ``Solution`` of a system of equations.
+
+    system  (x0, x1) -> (r, c0, c1): residual and its two derivatives (vectors of 3 numbers), always together
+    x       (x0, x1), Float each: where to start
+    domain  (x0, x1) -> Bool: where the iteration may be
+    limits  ``Limits``
+    active  Bool; other lanes are judged at their start and go no further
+
+    Each step is that of the pseudo-inverse, -(J^T J)^-1 J^T r. Where the residual has grown it is taken back and
+    halved.
     """
     UInt32 = dr.uint32_array_t(type(x[0]))
     r, c0, c1 = system(*x)
@@ -60,35 +96,42 @@ def solve(system, x, domain, limits, active=True):
     x, verdict = _finish(x, step, verdict, domain)
     going = (verdict == _GO_ON) & active
     # Copies, for the loop changes its state.
-    state = (x[0] + 0, x[1] + 0, *step, size2, verdict, dr.full(UInt32, 1, dr.width(verdict)), going)
+    count = dr.full(UInt32, 1, dr.width(verdict))
+    state = _State((x[0] + 0, x[1] + 0), step, size2, verdict, count, going)
 
-    def body(x0, x1, s0, s1, size2, verdict, count, going):
+    def body(state):
+        (x0, x1), (s0, s1), going = state.x, state.step, state.going
         trial = (x0 + s0, x1 + s1)
         r, c0, c1 = system(*trial)
         trial_size2, (t0, t1), judged = _judge(r, c0, c1, limits)
-        grown = ~(trial_size2 < size2)
+        grown = ~(trial_size2 < state.size2)
         short = dr.square(s0) + dr.square(s1) < limits.step**2
         accept = going & ~grown
         trial, judged = _finish(trial, (t0, t1), judged, domain)
-        x0, x1 = dr.select(accept, trial[0], x0), dr.select(accept, trial[1], x1)
-        size2 = dr.select(accept, trial_size2, size2)
-        s0, s1 = dr.select(accept, t0, 0.5 * s0), dr.select(accept, t1, 0.5 * s1)
+        x = dr.select(accept, trial[0], x0), dr.select(accept, trial[1], x1)
+        size2 = dr.select(accept, trial_size2, state.size2)
+        step = dr.select(accept, t0, 0.5 * s0), dr.select(accept, t1, 0.5 * s1)
         # No step makes it smaller: it is the root to within rounding, or there is none here.
         end = dr.select(size2 < limits.rounding**2, UInt32(int(Status.CONVERGED)), UInt32(int(Status.SINGULAR)))
         stuck = dr.select(short, end, UInt32(_GO_ON))
-        verdict = dr.select(accept, judged, dr.select(going, stuck, verdict))
-        count += 1
-        going &= (verdict == _GO_ON) & (count < limits.iterations)
-        return x0, x1, s0, s1, size2, verdict, count, going
+        verdict = dr.select(accept, judged, dr.select(going, stuck, state.verdict))
+        count = state.count + 1
+        going = going & (verdict == _GO_ON) & (count < limits.iterations)
+        return (_State(x, step, size2, verdict, count, going),)
 
-    end = dr.while_loop(state, lambda *s: s[-1], body, label="newton", mode="symbolic")
-    verdict, count = end[5], end[6]
-    status = dr.select(verdict == _GO_ON, int(Status.OUT_OF_ITERATIONS), verdict)
-    return Solution((end[0], end[1]), status, count)
+    (end,) = dr.while_loop((state,), lambda state: state.going, body, label="newton", mode="symbolic")
+    status = dr.select(end.verdict == _GO_ON, int(Status.OUT_OF_ITERATIONS), end.verdict)
+    return Solution(end.x, status, end.count)
 
 
 def improve(system, x, steps, longest):
-    """``x`` after that many steps, none longer than ``longest``, taken without looking back: for a root that is near."""
+    """``x`` after some steps, taken without looking back: for a root that is near.
+
+    system   as ``solve`` takes it
+    x        (x0, x1), Float each
+    steps    int, how many
+    longest  float, no step is longer
+    """
     for _ in range(steps):
         s, length, _ = _step(*system(*x), 0)
         shorter = dr.minimum(1, longest / dr.maximum(length, 1e-30))

@@ -1,8 +1,10 @@
-"""Every threshold of what renders: its name, unit and reason. ``meshes`` has those of boundaries, ``tiers`` what the option
-``tolerance`` selects; all are names of this package.
+"""Every threshold of what renders: its name, unit and reason.
 
-No other module of the renderer holds one, but 1e-30 for a divisor that must not be 0. Options stand in ``options.py``. Tools (``compare``,
-``probing`` and others) name their own settings at the head of their modules. ``tests/test_tolerances.py`` holds this.
+``meshes`` has those of boundaries, ``tiers`` what the option ``tolerance`` selects; all are names of this package.
+
+No other module of the renderer holds one, but 1e-30 for a divisor that must not be 0. Options stand in ``options.py``.
+Tools (``benchmarks``, ``probing`` and others) name their own settings at the head of their modules.
+``tests/test_tolerances.py`` holds this.
 """
 
 from .meshes import *
@@ -19,20 +21,25 @@ CAMERA_OFFSET = 2e-6
 """Relative to the body's largest coordinate: how far camera legs start off a boundary."""
 
 ASIDE = 2e-6
-"""Angle by which a ray is turned that slipped through an edge of a mesh: a few times what float32 makes of its direction."""
+"""Angle in radians between a ray that slipped through an edge of a mesh and the one that is traced in its place.
+
+A few times what float32 makes of its direction."""
 
 OVERLAP_RAYS = 16
 """Most camera rays at a time whose middles are asked whether they lie in two bodies that overlap."""
 
 FROM_ELSEWHERE = 0.01
-"""Share of the camera's first hits from a side of boundaries where another medium is than the sensor names, above which a scene is refused."""
+"""Share of the camera's first hits from a side of boundaries where another medium is than the sensor names.
+
+Above it a scene is refused."""
 
 OPAQUE = 20.0
 """Optical depth behind which nothing is seen of a medium: 2e-9 of the light is left."""
 
 AT_CAMERA = 1e-3
-"""Distance of a light from the camera, relative to that of a body, below which curves of the light that is refracted straight back are too
-small to be found: at 2e-3 all of it is found, at 2e-4 a quarter."""
+"""Distance of a light from the camera, relative to that of a body, below which light sent straight back is not found.
+
+Its curves are too small then: at 2e-3 all of it is found, at 2e-4 a quarter."""
 
 ENDLESS = 1e30
 """Length that stands for no end: finite, so that its product with 0 is 0."""
@@ -44,8 +51,9 @@ LEAST_DIRECTION = 1e-20
 """Size of a direction's component below which its inverse is that of this one: finite, also times a coordinate."""
 
 LEAST_COSINES = 1e-12
-"""Smallest sum of the cosines on both sides of a boundary by which Fresnel terms are divided: for eta = 1 they are 0/0 at grazing
-incidence, where nothing is reflected."""
+"""Smallest sum of the cosines on both sides of a boundary by which Fresnel terms are divided.
+
+For eta = 1 they are 0/0 at grazing incidence, where nothing is reflected."""
 
 CRITICAL = 1e-6
 """Smallest cosine behind a boundary by which its derivative is divided: it has a pole at the critical angle."""
@@ -80,11 +88,15 @@ COSINE = 1e-5
 """Slack of the spindle test's cosines: their rounding in float32, several times over."""
 
 SLOPE = 0.25
-"""Smallest |dg/dlambda| at a root relative to its value for a linear beam. Below, the curve turns back
-inside the triangle (a fold) and the linear beam is the better estimate; counted as unresolved."""
+"""Smallest |dg/dlambda| at a root relative to its value for a linear beam.
+
+Below, t has an extremum on the curve inside the triangle (a fold) and the linear beam is the better estimate;
+counted as unresolved."""
 
 FLAT = 8.0
-"""Change of g along an edge relative to its deviation from linear in the middle, below which the curve may run along the edge."""
+"""Change of g along an edge relative to its deviation from linear in the middle.
+
+Below it the curve may run along the edge."""
 
 OVERSHOOT = 2.0
 """Largest lambda taken for a root on the ray through the chord; beyond, the linear beam is used."""
@@ -93,15 +105,18 @@ MAX_SUBDIVISION = 5
 """Most levels (each cuts a triangle in 4) by which a strongly bent beam is refined, for all segments."""
 
 MAX_PAIR_SUBDIVISION = 8
-"""Most levels by which a beam is refined for the segments along which g is far from linear on it: where a light is next to the camera
-it is so everywhere, and parts are small compared to their distance; g is then not far from its rounding in float32."""
+"""Most levels by which a beam is refined for the segments along which g is far from linear on it.
+
+Where a light is next to the camera it is so everywhere, and parts are small compared to their distance: g is then
+not far from its rounding in float32."""
 
 MOST_LEVELS = 2 * MAX_SUBDIVISION
 """Most levels by which a triangle that no beams were made of is cut for single segments: of all the most."""
 
 DEPTH = 1.0
-"""Largest change of optical depth along the curve in one beam: up to there the one Gauss point, with the mean of the
-exponential taken exactly, or two of them are good to 1e-3. Where it is larger the beam is subdivided."""
+"""Largest change of optical depth along the curve in one beam. Where it is larger the beam is subdivided.
+
+Up to there two Gauss points are good to 1e-3, or one with the mean of the exponential taken exactly."""
 
 MARGIN = 0.2
 """How near to zero, relative to its change, t, s or another limit must come on the curve in a beam to be looked at."""
@@ -110,31 +125,37 @@ CUT = 8
 """Parts into which the curve in a beam is cut where it is too complicated."""
 
 SHORTEST = 1.5 / CUT**3
-"""Length relative to the curve in one beam, or to the mean free path where that is shorter, below which a part is not cut again."""
+"""Length below which a part is not cut again, relative to the curve in one beam or to the shorter mean free path."""
 
 NEAR = 0.2
 """Largest edge of a beam's triangle relative to its distance from the light: the light's 1/d^2 is then good to 1e-3."""
 
 PARTLY_LIT = 0.02
-"""The same relative to the body's size, of beams that are not proven to be wholly lit: a shadow is seen by a sample or two on each, and
-would have the form of their edges."""
+"""Largest edge of a beam's triangle relative to the body's size, of beams that are not proven to be wholly lit.
+
+A shadow is seen by a sample or two on each, and would have the form of their edges."""
 
 TURN = 0.3
 """Largest difference between the refracted directions at the corners of a beam, in radians: the cosines and the
 transmittance are then good to a few 1e-3."""
 
 EXCESS = 1e-6, 1e6
-"""Range to which an excess over the thresholds above is brought before its logarithm is taken: far beyond ``MAX_SUBDIVISION``, finite."""
+"""Range to which an excess over the thresholds above is clipped before its logarithm is taken.
+
+Far beyond ``MAX_SUBDIVISION``, and finite."""
 
 NEEDLE = 1e-6
-"""Square of the sine between a triangle's edges below which no linear model of its light beam is made: it would be rounding."""
+"""Square of the sine between a triangle's edges below which no linear model of its light beam is made: all rounding."""
 
 ALONG_WALL = 1e-6
-"""Least component of a light beam's direction towards a wall of its box that it is taken to reach: float32, several times over."""
+"""Least component of a light beam's direction towards a wall of its box that it is taken to meet.
+
+float32, several times over."""
 
 BROAD = 0.5
-"""Spread of a light beam, as the difference between unit directions, above which nothing is proven of how far it is free: the bound
-is divided by 1 - spread."""
+"""Spread of a light beam (difference between unit directions) above which nothing is proven of how far it is free.
+
+The bound is divided by 1 - spread."""
 
 LEAVING = 1e-6
 """Smallest cosine to a triangle by which the distance to its plane is divided."""
@@ -143,14 +164,17 @@ STEEP = 1e-3
 """Cosine to a triangle, besides twice the beam's bend, above which the distance to its plane is used."""
 
 TRUSTED = 0.999
-"""Share of the distance to a triangle's plane for which a beam is proven to be free: the rest is for rounding, where it is
-met at a small angle."""
+"""Share of the distance to a triangle's plane for which a beam is proven to be free.
+
+The rest is for rounding, where it is met at a small angle."""
 
 LIGHT_NUMBERS = 256
-"""Points of each light by which those that must be drawn are compared: to some 6 %, which suffices to share out samples."""
+"""Points of each light by which those that must be drawn are compared: to some 6 %, enough to share out samples."""
 
 EVEN_LIGHT = 0.1
-"""Share of the light samples that lights get evenly: what brings nothing to the bodies' centres may light other places."""
+"""Share of the light samples that lights get evenly.
+
+A light that brings nothing to the bodies' centres may light other places."""
 
 PHOTON_PILOTS = 16
 """Light points by which photons of a light that is no point or direction are aimed."""
@@ -159,7 +183,7 @@ PHOTON_RADIUS = 0.01
 """Default radius of photons relative to a body's size."""
 
 PHOTON_THIN = 1e-6
-"""Optical depth of a photon's way below which it is stored along it as if it were this: 1 - exp(-depth) has no digits there."""
+"""Least optical depth of a photon's way by which its place on it is drawn: below, 1 - exp(-depth) has no digits."""
 
 UNAIMED = 0.05
 """Share of the photons that go to a boundary evenly where the light on its triangles is known by samples alone."""
@@ -171,17 +195,20 @@ NEAREST = 1e-3
 """Smallest distance of the light from a camera segment's line, relative to its length, that sampling assumes."""
 
 NEAREST_LINE = 1e-6
-"""Smallest distance of a light in a medium from a camera ray's line, relative to the light's distance, that is told from 0."""
+"""Smallest distance of a light in a medium from a camera ray's line that is told from 0.
+
+Relative to the light's distance from the ray's origin."""
 
 EVEN_DEPTH = 8.0
-"""Optical depth of both legs together below which panels of the quadrature for light that is not refracted are nearly equal."""
+"""Optical depth of both legs together below which panels of the quadrature for unrefracted light are nearly equal."""
 
 THIN = 1e-3
 """Optical depth of a segment below which samples are spread over it as if it were this."""
 
 ROOT_STEP = 1e-3
-"""Step of Newton's method, relative to the light beam's size (for an interval's end to the ray from the corner), that is
-the last one: after it the error is its square."""
+"""Step of Newton's method that is the last one, relative to the light beam's size: after it the error is its square.
+
+For an interval's end it is relative to the ray from the corner."""
 
 ROOT_LONGEST = 1.0
 """Longest step of Newton's method, relative to the light beam's size."""
@@ -202,12 +229,15 @@ MOMENT = 1e-6
 """Rounding of (V - P) x omega in float32 relative to |V - P|, several times over."""
 
 OUTSIDE = 0.5
-"""How far outside of its light beam, relative to its size, a root is still taken for that of its curve: curves are
-slightly bent and may run along an edge."""
+"""How far outside of its light beam, relative to its size, a root is still taken for that of its curve.
+
+Curves are slightly bent and may run along an edge."""
 
 DEPTH_SAMPLES = 4.0
-"""How many times more samples an interval gets per unit of optical depth that it spans: the error of regular samples
-of the exponential falls with the square of their number, 3e-3 for one sample of a quarter."""
+"""How many times more samples an interval gets per unit of optical depth that it spans.
+
+The error of regular samples of the exponential falls with the square of their number: 3e-3 for one sample of a
+quarter."""
 
 MOST_SAMPLES = 256.0
 """Most of that: behind 64 optical depths little is left."""
@@ -231,13 +261,13 @@ SAMPLED_LEAST = 1e-3
 """The same at least, relative to the length."""
 
 MISSING = 0.05
-"""Share of the light in a medium from which on its lack is told: a few percent."""
+"""Share of the light in a medium from which on its lack is told."""
 
 MISSING_BEHIND = 0.005
 """The same for light that is refracted more than once: it is all that there is in a shadow."""
 
 MISSING_PHOTONS = 4096
-"""Photons, and points on surfaces, by which it is estimated what is missing: shares of a percent are some ten of them."""
+"""Photons, and points on surfaces, by which it is estimated what is missing: a quarter of a percent is ten of them."""
 
 MISSING_LIGHTS = 16
 """Most lights that send them."""
@@ -289,12 +319,14 @@ PASS_SAMPLES = 1 << 18
 
 
 PROFILE_CELLS = 64
-"""Cells of the curve in one light beam for a probe: the one point in each is then good to 1e-4, folds to 1e-5 of the light beam's part of
-the segment."""
+"""Cells of the curve in one light beam for a probe.
+
+The one point in each is then good to 1e-4, folds to 1e-5 of the light beam's part of the segment."""
 
 APART = 1e-4
-"""Least distance of V from P in the point form of a probe, relative to the larger of the body and the segment: their direction is
-then good to 1e-3."""
+"""Least distance of V from P in the point form of a probe, relative to the larger of the body and the segment.
+
+Their direction is then good to 1e-3."""
 
 PEAK = 0.05
 """How much of the largest radiance per unit length a maximum along a probed segment stands out by."""

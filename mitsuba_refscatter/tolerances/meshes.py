@@ -1,4 +1,7 @@
-"""Thresholds of boundaries: reading meshes, tessellating shapes, coarser meshes, silhouettes. All are names of ``tolerances``."""
+"""Thresholds of boundaries: reading meshes, tessellating shapes, coarser meshes, silhouettes.
+
+All are names of ``tolerances``.
+"""
 
 # Reading a mesh
 
@@ -15,16 +18,20 @@ ENCLOSED_CORNERS = 64
 """Corners of a mesh, up to twice as many, that are asked whether another one encloses them."""
 
 AT_CORNER = 1e-6
-"""Distance of a light from a mesh's corner, relative to the mesh's size, below which it lies on it: float32 rounds to 6e-8 of that."""
+"""Distance of a light from a mesh's corner, relative to the mesh's size, below which it lies on it.
+
+float32 rounds to 6e-8 of that size."""
 
 AT_EDGE = 1e-10
-"""1 + the cosine of the angle under which a light sees an edge, below which it lies on the edge: 1.4e-5 rad from half a turn."""
+"""1 + the cosine of the angle under which a light sees an edge, below which it lies on the edge: 1.4e-5 rad from pi."""
 
 AT_FACE = 1e-4
 """Solid angle that a triangle lacks to half the sphere, in sr, below which a light lies on the triangle."""
 
 CONVEX = 1e-6
-"""Height of a corner over the plane of a neighbouring facet, relative to the mesh's size, that is rounding: float32 is good to 6e-8."""
+"""Height of a corner over the plane of a neighbouring facet, relative to the mesh's size, that is rounding.
+
+float32 is good to 6e-8."""
 
 # Tessellating spheres, cylinders and disks
 
@@ -33,14 +40,14 @@ TESSELLATION_SHARE = 1 / 3
 
 TESSELLATION_ERROR = 2.0
 """Relative error of the image per square of the triangles' edges, these in radii of the sphere. Measured: 0.3 to 0.8,
-up to 2.4 for slender ellipsoids lit along their axes, 0.2 for tubes; 5 where the light is seen through a ball that
-scatters strongly forward (g = 0.9)."""
+up to 2.4 for slender ellipsoids lit along their axes, 0.2 for tubes. It is 5 where the light is seen through a ball
+that scatters strongly forward (g = 0.9)."""
 
 FREQUENCIES = 4, 128
 """Least and largest frequency of a geodesic sphere: of 320 and of 327680 triangles, whose error is 1e-4 or less."""
 
 SEGMENTS = 16, 1024
-"""Least and most segments of a circle: rounding to float32 turns the triangles between the most by up to 1e-5."""
+"""Least and most segments of a circle: rounding to float32 tilts the triangles between the most by up to 1e-5 rad."""
 
 TUBE_TRIANGLES = 20 * FREQUENCIES[1] ** 2
 """Most triangles of a tube: as many as of a sphere."""
@@ -55,7 +62,7 @@ SURFACE_ROUNDING = 4e-6
 """Deviation relative to the coordinates that is rounding in float32, several times over."""
 
 SURFACE_NORMAL = 0.99
-"""Least cosine between the normals of Mitsuba's surface and of that of ``to_world`` that are the same, but for their sign."""
+"""Least cosine between normals of Mitsuba's surface and of that of ``to_world`` that are the same but for the sign."""
 
 FLATTENED = 1e-9
 """Determinant of a transform relative to the product of its columns' lengths below which it has no inverse."""
@@ -69,10 +76,10 @@ COARSE_WORTH = 0.2
 """Share of the triangles that a coarse body may have at most: a patch costs several times what a triangle does."""
 
 COARSEST_TURN = 0.85
-"""Largest difference between the unit normals at the ends of an edge of the coarsest body: 50 degrees."""
+"""Turn of the normals (difference between the unit normals at the ends of an edge) in the coarsest body: 50 degrees."""
 
 COARSE_LEVELS = 40
-"""Most coarse bodies, with half the normals' turn for every four: ``FIRST_TURN`` ends them before."""
+"""Most coarse bodies, where four more halve the normals' turn: ``FIRST_TURN`` ends them before."""
 
 FIRST_TURN = 2.0
 """Least turn of the normals along a coarse edge relative to that along the fine ones: less is not worth it."""
@@ -81,15 +88,15 @@ COARSE_LONGEST = 0.125
 """Longest coarse edge relative to the body's size."""
 
 BULGE = 1.0
-"""How far from a coarse edge the boundary is looked for, relative to the edge and half the turn along it: four times as far as
-a circle would be."""
+"""How far from a coarse edge the boundary is looked for, relative to the edge times half the normals' turn along it.
+
+Four times as far as a circle would be."""
 
 SLIP = 1e-3
 """How far aside of where it slipped through the boundary a ray is sent, relative to the edge."""
 
 TURN_ERROR = 0.02, 2.0
-"""The least and the largest error of an image by a coarse mesh, per square of the turn of its normals along edges, that are
-reckoned with."""
+"""Least and largest error of an image by a coarse mesh that are reckoned with, per square of its normals' turn."""
 
 COARSE_TRIES = 3
 """Most meshes whose error is measured to find a suitable one."""
@@ -109,14 +116,15 @@ LEAST_SHAPE = 0.25
 """Least height of a triangle relative to its longest edge."""
 
 FIRST_SHAPE = 0.15
-"""The same in the first round, else nothing could be taken away from a regular mesh."""
+"""That height in the first round: otherwise nothing could be taken away from a regular mesh."""
 
 LEAN = 0.7
 """Least cosine between a face and the normals at its corners."""
 
 FLIP = 1e-3
-"""By how much, in radians, the angles opposite to an edge must exceed half a turn together for it to be turned: else rounding
-would turn it back and forth."""
+"""By how much, in radians, the angles opposite to an edge must exceed pi together for it to be flipped.
+
+Otherwise rounding would flip it back and forth."""
 
 # Silhouettes
 
@@ -136,4 +144,6 @@ RASTER_ROUNDING = 1e-6
 """By how much of its depth an edge is put nearer: float32 may round it away from the light."""
 
 SILHOUETTE_SLACK = 1e-5
-"""By how much of its distance from the light an edge counts as beside a triangle that it is not: float32, several times over."""
+"""Share of an edge's distance from the light by which it may be beside a triangle and still counts as in front of it.
+
+float32, several times over."""

@@ -1,5 +1,7 @@
 """What the one knob ``tolerance`` selects."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 
@@ -7,17 +9,21 @@ from dataclasses import dataclass, replace
 class Accuracy:
     """What the one knob ``tolerance`` selects.
 
-    ``linear``: largest deviation of g from linear, relative to its range, on a beam that is solved whole; for a
-    camera segment that needs it a beam is subdivided. ``clip``: the same for t + s along a curve that begins or ends
-    inside a beam, relative to its change there.
-    ``bend``: largest deviation of a light beam from a linear one, relative to its width; beams that are
-    bent more are subdivided. ``points``: Gauss points along the curve in one beam, ``guest_points`` where shadows of other objects may end on it. ``newton``: Newton
-    steps per point, on patches 1 at least. ``weight``: camera legs with a smaller weight are dropped. ``interval_samples``, ``point_samples``: per
-    interval and per camera segment, of the estimators of these names; ``point_samples`` do not reach the tolerance, the noise is about 0.5 / sqrt(samples).
-    ``panels``, ``panel_points``: of the quadrature for light that is not refracted, and ``lobes``: error that it may make of a phase
-    function's integral; ``adapts``: whether intervals across which much is absorbed get more.
-    ``samples_visibility``: whether what is lit, and how far, is judged by samples where it can't be proven; ``coarse``: relative error
-    that a coarser mesh may make.
+    bend                largest deviation of a light beam from a linear one, relative to its width; above, it is cut
+    points              Gauss points along the curve in one beam
+    guest_points        the same where shadows of other objects may end on it
+    newton              Newton steps per point, on patches 1 at least
+    weight              camera segments with a smaller weight are dropped
+    linear              largest deviation of g from linear, relative to its range, on a beam that is solved whole
+    clip                the same of t + s, relative to its change, along a curve that begins or ends inside a beam
+    interval_samples    samples per interval, of the estimator of that name
+    point_samples       samples per camera segment; their noise is about 0.5 / sqrt(samples), not the tolerance
+    panels              of the quadrature for light that is not refracted
+    panel_points        Gauss points in each panel
+    lobes               error that this quadrature may make of a phase function's integral, relative to it
+    adapts              whether intervals across which much is absorbed get more samples
+    samples_visibility  whether what is lit, and how far, is judged by samples where it can't be proven
+    coarse              relative error that a coarser mesh may make
     """
 
     bend: float
@@ -104,6 +110,6 @@ TIERS = {
 
 
 def accuracy(tolerance):
-    """The counts that are safe for a relative error ``tolerance`` of the image (0: exact to float32)."""
+    """The ``Accuracy`` that is safe for a relative error ``tolerance`` of the image (0: exact to float32)."""
     tier = next(tier for least, tier in TIERS.items() if tolerance >= least)
     return replace(tier, weight=tier.weight * tolerance, coarse=tier.coarse * tolerance)
