@@ -23,7 +23,6 @@ PLUGINS = {
     "refscatter_straight": options.Common,
 }
 KINDS = {float: "|float|", int: "|int|", str: "|string|", bool: "|bool|"}
-NESTED = "(Nested plugin)"
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -66,11 +65,11 @@ def test_tables_of_plugins_list_the_options(rgb, plugin):
     """All of them, with type, default and choices; those that stand in one row are as of ``refscatter``, whose have
     each its own."""
     rows, fields = properties(plugin), {field.name: field for field in dataclasses.fields(PLUGINS[plugin])}
-    assert rows.keys() == {*fields, NESTED}
+    assert rows.keys() == {*fields}
     for name, (kind, meaning) in rows.items():
         if kind == "":
             assert plugin != "refscatter" and "As of ``refscatter``" in meaning
-        elif name != NESTED:
+        else:
             field = fields[name]
             default = re.search(r"\(Default: (.*?)\)$", meaning)
             assert kind == KINDS[type(field.default)] and default and same(default.group(1), field.default), name
@@ -84,7 +83,7 @@ def test_the_readme_lists_the_options():
     text, of_others = (path.read_text(encoding="utf-8") for path in places)
     first = table(text, "| property | default | meaning |")
     fields = {field.name: field for field in dataclasses.fields(options.Options)}
-    assert {name for name, *_ in first} == {*fields, "nested integrator"}
+    assert {name for name, *_ in first} == {*fields}
     second = table(of_others, "| property | of | default | meaning |")
     photons = {f.name: f for f in dataclasses.fields(options.PhotonOptions)}
     common = {f.name for f in dataclasses.fields(options.Common)}

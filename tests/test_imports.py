@@ -50,13 +50,25 @@ ASKS = {
         "compute_surface_interaction",
         "bsdf",
     },  # the latter two of mirrors
+    "transport/surface_paths.py": {
+        "ray_intersect",
+        "ray_intersect_preliminary",
+        "compute_surface_interaction",
+        "bsdf",
+        "emitter",
+        "environment",
+        "eval",
+        "is_emitter",
+        "pdf_emitter_direction",
+        "sample_emitter_direction",
+    },
     "transport/transmittance.py": {"ray_intersect_preliminary"},
     "transport/visibility.py": TRACING,
 }
 """What modules of the renderer but ``scene/`` ask scenes, shapes and media of Mitsuba's for."""
 
-HANDS_ON = set()
-"""Who gives Mitsuba's scene to others: to the nested integrator."""
+HANDS_ON = {"transport/surface_paths.py"}
+"""Who gives Mitsuba's scene to others: to what samples emitters."""
 
 MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
 

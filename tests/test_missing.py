@@ -12,19 +12,13 @@ from against_volpath import WITHIN, camera, colour, glass, to
 from build import point_light
 
 from mitsuba_refscatter import missing
-from mitsuba_refscatter.commands import console
 from mitsuba_refscatter.core import cache
+from mitsuba_refscatter.integrators.hooks import Hooks
 from mitsuba_refscatter.missing import walk
 from mitsuba_refscatter.missing.emission import photons
 from mitsuba_refscatter.scene import read, surfaces
 
 pytestmark = pytest.mark.usefixtures("rgb")
-
-
-@pytest.fixture(autouse=True)
-def told(monkeypatch):
-    """Tests of commands that measure may have been run in this process."""
-    monkeypatch.setattr(missing, "silent", False)
 
 
 FAINT = 0.02
@@ -348,39 +342,6 @@ def board(y=0.0, size=0.02, reflectance=0.5):
             "bsdf": {"type": "diffuse", "reflectance": reflectance}}  # fmt: skip
 
 
-def test_fog_between_a_lamp_and_a_board(capfd):
-    """exp(-sigma_t d) of the light is left."""
-    looks = camera((0, 1, 0.1), (0, 0, 0), fov=1, medium=WITHIN)
-    fog = loaded(albedo=0, sigma_t=0.4, light=point_light((0, 1.5, 0)), board=board(), sensor=looks)
-    (told,) = warnings_of(capfd, fog, spp=1)
-    assert (
-        f"about {1 - np.exp(-0.6):.0%} of the light on the surfaces" in told
-        and 'the medium "medium" is ignored' in told
-    )
-
-
-ON_SURFACES = {
-    "a black drop on a floor": lambda: {"sky": {"type": "constant"}, "drop": ball(bsdf=glass(1.33)), "floor": floor()},
-    "tinted glass on a floor": lambda: {
-        "sky": {"type": "constant"},
-        "lamp": LAMP,
-        "red": ball(0.9, glass(1.5)),
-        "floor": floor(),
-    },
-}
-
-
-@pytest.mark.parametrize("name", ON_SURFACES)
-def test_media_above_a_floor_are_told(name, capfd):
-    scene = loaded(albedo=0, sigma_t=20, **ON_SURFACES[name]())
-    (told,) = warnings_of(capfd, scene, spp=1)
-    assert "of the light on the surfaces that are seen is wrong" in told
-    clear = loaded(albedo=0, sigma_t=1e-4, **ON_SURFACES[name]())
-    assert warnings_of(capfd, clear, spp=1) == []
-    media = loaded(albedo=0, sigma_t=20, integrator={"type": "refscatter", "surfaces": False}, **ON_SURFACES[name]())
-    assert warnings_of(capfd, media, spp=1) == []
-
-
 def test_each_warning_comes_once_per_render(capfd, monkeypatch):
     """In several passes, in one render after the other, and where another integrator calls ``sample``."""
     monkeypatch.setattr("mitsuba_refscatter.tolerances.PASS_SAMPLES", 1024)
@@ -392,10 +353,13 @@ def test_each_warning_comes_once_per_render(capfd, monkeypatch):
     assert warnings_of(capfd, loaded(albedo=0.9, integrator=wrapped, **parts), spp=4) == once
 
 
-def test_commands_that_measure_say_nothing(capfd):
-    console.measurable(None, None)
-    assert missing.silent
-    assert warnings_of(capfd, loaded(albedo=0.9, light=LAMP, body=ball(bsdf={"type": "null"})), spp=1) == []
+def test_measurements_say_nothing(capfd):
+    scene = loaded(albedo=0.9, light=LAMP, body=ball(bsdf={"type": "null"}))
+    integrator = mi.load_dict({"type": "refscatter"})
+    integrator.render(scene, spp=1, hooks=Hooks(silent=True))
+    assert "missing" not in capfd.readouterr().out
+    integrator.render(scene, spp=1)
+    assert "missing" in capfd.readouterr().out
 
 
 def test_the_first_screen_of_the_readme_says_the_same():
@@ -403,6 +367,5 @@ def test_the_first_screen_of_the_readme_says_the_same():
     first = " ".join(readme.partition("\n## ")[0].split())
     for said in (
         "refracted again", "reflected inside or by mirrors", "scatters more than once", "surfaces send into media",
-        "Light on surfaces ignores media",
     ):  # fmt: skip
         assert said in first, said

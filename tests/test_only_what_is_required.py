@@ -10,7 +10,7 @@ from build import mesh_shape, point_light
 from meshes import bumpy_sphere, icosphere
 from test_real_scenes import LAMP, ball_light, empty, glass, medium, panel, sky, spot, sun, to
 
-from mitsuba_refscatter import missing, platform
+from mitsuba_refscatter.integrators.hooks import Hooks, platform
 
 pytestmark = [
     pytest.mark.usefixtures("rgb"),
@@ -27,12 +27,16 @@ CALL = r"define fastcc [^\n]*@func_"
 class Kernels:
     """Those of a render: their hashes, and how often something stands in their code."""
 
-    def __init__(self, scene):
+    def __init__(self, scene, silent=True):
         integrator = scene.integrator()
-        integrator.render(scene, spp=1)  # what is made once per process
+
+        def render():
+            integrator.render(scene, spp=1, hooks=Hooks(silent=silent))
+
+        render()  # what is made once per process
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            integrator.render(scene, spp=1)
+            render()
             found = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
         self.hashes = {kernel["hash"] for kernel in found}
         self.code = [kernel["ir"].getvalue() for kernel in found]
@@ -95,19 +99,16 @@ def rich(path):
     )
 
 
-def test_a_simple_scene_pays_nothing_for_a_rich_one(tmp_path, monkeypatch):
+def test_a_simple_scene_pays_nothing_for_a_rich_one(tmp_path):
     """Its kernels are the same before and after the rich one is rendered, and hold no choice between objects, no shadow
     ray, and fewer rays: those of the camera alone. With the estimate of missing light they are the same, too."""
     simple = scene(tmp_path / "simple.ply", icosphere(2))
-    monkeypatch.setattr(missing, "silent", False)
-    with_estimate = Kernels(simple)
-    monkeypatch.setattr(missing, "silent", True)
+    with_estimate = Kernels(simple, silent=False)
     before = Kernels(simple)
     all_of_it = Kernels(rich(tmp_path / "rich.ply"))
     after = Kernels(simple)
     assert before.hashes == after.hashes
-    monkeypatch.setattr(missing, "silent", False)
-    assert Kernels(simple).hashes == with_estimate.hashes and with_estimate.count(CALL) == 0
+    assert Kernels(simple, silent=False).hashes == with_estimate.hashes and with_estimate.count(CALL) == 0
     assert all_of_it.count(CALL) > 0 and all_of_it.shadow_rays > 0
     assert before.count(CALL) == 0 and before.shadow_rays == 0
     assert before.count(NEAREST_HIT) == 2  # to the body, and in it

@@ -229,15 +229,6 @@ def test_what_names_the_medium_around(make):
     )  # fmt: skip
 
 
-def test_nested_integrators_are_named(make):
-    for inside, words in (
-        ({"a": {"type": "volpath"}}, "nested VolumetricPath"),
-        ({"a": {"type": "ptracer"}}, "nested ParticleTracer"),
-        ({"a": {"type": "path"}, "b": {"type": "direct"}}, "given (PathIntegrator, DirectIntegrator): give one"),
-    ):
-        refused(lambda: make.scene(integrator={"type": "refscatter", **inside}), words)
-
-
 def test_references_to_compare_with(make):
     """Black, or with numbers that are not finite: each is told."""
     subject = duel.Subject("ball", make.scene, 80)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import mitsuba as mi
 
 from .. import example_scenes
+from ..integrators.hooks import Hooks
 from . import methods, metrics, plotting, results, timing
 
 if TYPE_CHECKING:
@@ -51,7 +52,9 @@ def run(
 
     def render(**settings):
         integrator = mi.load_dict({**FIXED, **settings})
-        image, seconds = timing.image_and_seconds(lambda: integrator.render(loaded, seed=seed, spp=1))
+        image, seconds = timing.image_and_seconds(
+            lambda: integrator.render(loaded, seed=seed, spp=1, hooks=Hooks(silent=True))
+        )
         return image[..., :3], seconds
 
     reference, _ = render()

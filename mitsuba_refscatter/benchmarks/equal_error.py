@@ -139,7 +139,8 @@ class _Scenes:
 
 def _image(scene, seed, samples):
     """Image (H, W, 3) in float64, and the seconds that it took."""
-    image, seconds = timing.image_and_seconds(lambda: scene.integrator().render(scene, seed=seed, spp=samples))
+    hooks = methods.quiet(scene.integrator())
+    image, seconds = timing.image_and_seconds(lambda: scene.integrator().render(scene, seed=seed, spp=samples, **hooks))
     return image[..., :3], seconds
 
 

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from .. import example_scenes, image_io
+from ..integrators.hooks import Hooks
 from . import duel, race
 from .methods import METHODS
 from .suite import Case
@@ -27,7 +28,11 @@ def scenes(size: int, samples: int) -> list[list[np.ndarray]]:
     for name in SCENES:
         with tempfile.TemporaryDirectory() as files:
             scene = example_scenes.load(example_scenes.write_scene(name, files)[0], res=str(size))
-        row.append(image_io.tone_map(np.array(scene.integrator().render(scene, spp=samples))[..., :3]))
+        row.append(
+            image_io.tone_map(
+                np.array(scene.integrator().render(scene, spp=samples, hooks=Hooks(silent=True)))[..., :3]
+            )
+        )
     return [row]
 
 
@@ -42,7 +47,10 @@ def densities(size: int, samples: int) -> list[list[np.ndarray]]:
         with tempfile.TemporaryDirectory() as files:
             scene = case.subject(files, size).load()
         integrators = [mi.load_dict({**METHODS[name], "surfaces": False}) for name in ("refscatter", "straight_line")]
-        images = [np.array(x.render(scene, spp=samples), dtype=np.float64)[..., :3] for x in integrators]
+        images = [
+            np.array(x.render(scene, spp=samples, hooks=Hooks(silent=True)), dtype=np.float64)[..., :3]
+            for x in integrators
+        ]
         for row, image in zip(rows, images):
             row.append(image_io.tone_map(image, image_io.exposure(images[0])))
     return list(rows)

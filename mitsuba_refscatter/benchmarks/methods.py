@@ -12,6 +12,8 @@ from collections.abc import Sequence
 import mitsuba as mi
 import numpy as np
 
+from ..integrators.hooks import Hooks
+
 METHODS = {
     "refscatter": {"type": "refscatter"},
     "holzschuch2015": {"type": "refscatter", "estimator": "interval", "culling": "spindle", "samples": 1},
@@ -94,3 +96,9 @@ def without_scattering(scene: mi.Scene) -> None:
         if "_medium.albedo." in key:
             parameters[key] = 0 * value
     parameters.update()
+
+
+def quiet(integrator: mi.Integrator) -> dict:
+    """Arguments of ``render`` that keep an integrator from warnings: those of this package take some."""
+    ours = type(integrator).__module__.startswith(__package__.partition(".")[0] + ".")
+    return {"hooks": Hooks(silent=True)} if ours else {}

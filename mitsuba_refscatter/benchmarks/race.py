@@ -207,11 +207,11 @@ def run(scene: mi.Scene, method: str, setup: Setup, goal: Goal, clear: mi.Scene 
 def _ours(scene, run, goal):
     """A method of this package: the ``Run``, once its warm-up and its renders are done."""
     integrator, start = mi.load_dict(run.settings), time.perf_counter()
-    two = Hooks(watch=lambda samples, image: 1 if samples < 2 else 0)
+    two = Hooks(watch=lambda samples, image: 1 if samples < 2 else 0, silent=True)
     integrator.render(scene, seed=0, spp=ENDLESS, hooks=two)
     run.warm_up_seconds = time.perf_counter() - start
     follower = _Follower(run, goal, grows="photons" not in run.settings)
-    integrator.render(scene, seed=run.seed, spp=ENDLESS, hooks=Hooks(watch=follower))
+    integrator.render(scene, seed=run.seed, spp=ENDLESS, hooks=Hooks(watch=follower, silent=True))
     return run
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import mitsuba as mi
 import numpy as np
 
-from .. import example_scenes, missing
+from .. import example_scenes
 from ..integrators.hooks import Hooks
 from . import methods, metrics, plotting, results, timing
 
@@ -68,7 +68,7 @@ class Setup:
 
     def hooks(self, method: str) -> Hooks:
         """Those of a method's renders."""
-        return Hooks(accuracy={"coarse": 0.0} if method == EXACT_MESH else {})
+        return Hooks(accuracy={"coarse": 0.0} if method == EXACT_MESH else {}, silent=True)
 
 
 def measure(setup: Setup) -> list[dict]:
@@ -77,7 +77,6 @@ def measure(setup: Setup) -> list[dict]:
     ``mean_relative_error`` is the relative L1 difference to the image by ``curve`` at tolerance 0.
     """
     mi.set_variant(setup.variant)
-    missing.silent = True  # in this process
     with tempfile.TemporaryDirectory() as directory:
         path, triangles = example_scenes.write_scene(setup.scene, directory, setup.triangles)
         scene = example_scenes.load(path, res=str(setup.resolution))
@@ -92,7 +91,7 @@ def measure(setup: Setup) -> list[dict]:
         own = {"first_seconds": first, "peak_memory_bytes": memory}
         rows.append({**_row(setup, triangles, method, settings), **pairs, **own})
     exact = setup.integrator("refscatter", tolerance=0.0)
-    truth = np.array(exact.render(scene, spp=1), dtype=np.float64)
+    truth = np.array(exact.render(scene, spp=1, hooks=Hooks(silent=True)), dtype=np.float64)
     for row in rows:
         row["mean_relative_error"] = metrics.mean_relative_error(images[row["method"]], truth)
     with_volpath = methods.for_volpath(scene)

@@ -99,7 +99,7 @@ def run(
 
     def prepared(tolerance, changes):
         integrator = mi.load_dict(setup.properties(tolerance))
-        return lambda: integrator.render(scene, seed=0, spp=setup.samples, hooks=Hooks(accuracy=changes))
+        return lambda: integrator.render(scene, seed=0, spp=setup.samples, hooks=Hooks(accuracy=changes, silent=True))
 
     every = settings(setup)
     renders = [prepared(tolerance, changes) for _, tolerance, changes in every]

@@ -20,7 +20,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from .. import example_scenes, image_io, missing, platform
+from .. import example_scenes, image_io, platform
 from ..core.spelling import advice, near
 from . import meshcheck
 
@@ -152,7 +152,6 @@ def measurable(variant: Optional[str], directory: Optional[Path]) -> str:
     """The variant to measure in, once it is certain that it runs and that results can be written."""
     variant = variant or platform.default_variant()
     platform.require_usable(variant)
-    missing.silent = True
     if directory is not None:
         image_io.directory(directory)
     return variant

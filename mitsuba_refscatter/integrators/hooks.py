@@ -16,10 +16,12 @@ class Hooks:
     watch     (samples per pixel, image so far) -> how many are next (0: no more), or None; then the first pass is
               of one sample per pixel, and places in the pixels come from a sequence instead of the sampler
     accuracy  fields of ``tolerances.Accuracy`` by name, in place of those that the tolerance decides
+    silent    whether no warnings of missing light are estimated: for measurements
     counts    the work of the last render
     """
 
     progress: Callable | None = None
     watch: Callable | None = None
     accuracy: dict = field(default_factory=dict)
+    silent: bool = False
     counts: Counts = field(default_factory=Counts)

@@ -137,7 +137,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             ):  # then the number of samples is not known, and samplers stratify for a known one
                 sequence = sequence or Sequence(number)
             frame = film.Frame(sensor, seed, spp, sequence, self.aov_names(), hooks.progress, hooks.watch)
-            render_pass = self._pass(prepared, sensor.get_medium(), hooks.counts, whole=True)
+            render_pass = self._pass(prepared, sensor.get_medium(), hooks.counts, whole=True, silent=hooks.silent)
             image = film.render(render_pass, frame, develop, evaluate)
             self.messages.warn(messages.unresolved(hooks.counts, self.options.tolerance))
             return image
@@ -152,9 +152,9 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         samples.seed = seed_from(sampler) if prepared.estimator.draws else 0
         return single_scattering.scatter(prepared, paths, samples, counts)
 
-    def _pass(self, prepared, medium, counts, whole):
+    def _pass(self, prepared, medium, counts, whole, silent=False):
         """``RenderPass`` of this plugin."""
         return RenderPass(
             prepared=prepared, options=self.options, medium=medium, scatter=self.scatter, missing=self.missing_in_media,
-            surfaces=self.surfaces, messages=self.messages, counts=counts, refracts=self.refracts, whole=whole,
+            surfaces=self.surfaces, messages=self.messages, counts=counts, refracts=self.refracts, whole=whole, silent=silent,
         )  # fmt: skip

@@ -34,6 +34,7 @@ class RenderPass:
     counts    where the work is counted
     refracts  whether the plugin solves for light that is refracted
     whole     whether it is for a whole image
+    silent    whether missing light is not told
     """
 
     prepared: Prepared
@@ -46,6 +47,7 @@ class RenderPass:
     counts: Counts
     refracts: bool
     whole: bool
+    silent: bool = False
 
     def __call__(self, sampler, ray, ray_weight, active, batch, progress):
         """Radiance (Spectrum), whether rays hit anything (Bool), and the extra channels, of one wavefront.
@@ -78,7 +80,7 @@ class RenderPass:
 
     def _tells(self, n):
         """Whether warnings are worth their time: of a few rays the estimate would cost more than they do."""
-        return self.whole or n >= tolerances.MISSING_PHOTONS
+        return not self.silent and (self.whole or n >= tolerances.MISSING_PHOTONS)
 
     def _trace(self, sampler, ray, active):
         """The chain of segments of each ray, and its ends."""

@@ -10,9 +10,6 @@ from .. import tolerances
 from .emission import photons
 from .walk import FURTHER, INSIDE, REFLECTED, REFRACTED, SURFACES, follow
 
-silent = False
-"""Whether nothing is said: by commands that measure, whose renders are many, and all of single scattering alone."""
-
 SAYS = {
     REFRACTED: "it passes through {culprit} first, and light is followed through one refraction only",
     INSIDE: "it is reflected inside {culprit} first, which is not followed",
@@ -28,7 +25,7 @@ IN_MEDIA = "{share} of the light that scatters in {region} is missing: {reason}"
 def in_media(scene):
     """Sentences about the light that is missing in the media of a ``scene.Scene``."""
     regions = [region for region in scene.regions if region.scatters]
-    if silent or not regions or not scene.emitters:
+    if not regions or not scene.emitters:
         return []
     left, by_shape = follow(scene, photons(scene))
     names, out = scene.names(), []
