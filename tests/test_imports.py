@@ -50,16 +50,15 @@ ASKS = {
         "compute_surface_interaction",
         "bsdf",
     },  # the latter two of mirrors
-    "transport/surface_paths.py": {
-        "ray_intersect",
+    "transport/surface_paths.py": {  # what any path tracer asks for
         "ray_intersect_preliminary",
         "compute_surface_interaction",
         "bsdf",
         "emitter",
         "environment",
-        "eval",
         "is_emitter",
         "pdf_emitter_direction",
+        "ray_intersect",
         "sample_emitter_direction",
     },
     "transport/transmittance.py": {"ray_intersect_preliminary"},

@@ -1,4 +1,5 @@
-"""Surfaces lit through media that absorb, whole images against ``volpath`` at the same depth: with albedo 0 there is nothing else.
+"""Surfaces lit through media that absorb, whole images against ``volpath`` at the same depth: with albedo 0 there
+is nothing else.
 
 Blocks whose light ``volpath`` finds by rare paths alone have large standard errors, and are no worse for that.
 """
@@ -22,8 +23,15 @@ SKY = {"type": "constant", "radiance": colour(0.7, 0.6, 0.5)}
 
 
 def squares(a=0.2, b=0.7, size=12):
-    return {"type": "diffuse", "reflectance": {"type": "checkerboard", "color0": colour(a, a, a), "color1": colour(b, b, b),
-                                               "to_uv": mi.ScalarTransform4f().scale(size)}}  # fmt: skip
+    return {
+        "type": "diffuse",
+        "reflectance": {
+            "type": "checkerboard",
+            "color0": colour(a, a, a),
+            "color1": colour(b, b, b),
+            "to_uv": mi.ScalarTransform4f().scale(size),
+        },
+    }
 
 
 def floor(bsdf=None, y=0.0):
@@ -57,11 +65,18 @@ def flash_under_water():
     """Lamp and camera under water, a chart before them."""
     sea = {"type": "ref", "id": "sea"}
     return {
-        "sea": {**dark(0.35, 0.2, 0.15), "id": "sea"}, "sensor": camera(origin=(0, -1.6, 6), target=(0, -2.2, 0), fov=60, medium=sea),
+        "sea": {**dark(0.35, 0.2, 0.15), "id": "sea"},
+        "sensor": camera(origin=(0, -1.6, 6), target=(0, -2.2, 0), fov=60, medium=sea),
         "lamp": point_light((0.2, -1.6, 6), (6, 6, 6)),
-        "water": {"type": "rectangle", "to_world": to(("rotate", [1, 0, 0], -90), ("scale", 60)), "bsdf": glass(1.33), "interior": sea},
-        "chart": {"type": "rectangle", "to_world": to(("translate", [0, -2.2, 0])), "bsdf": squares()}, "ground": floor(y=-4.0),
-    }  # fmt: skip
+        "water": {
+            "type": "rectangle",
+            "to_world": to(("rotate", [1, 0, 0], -90), ("scale", 60)),
+            "bsdf": glass(1.33),
+            "interior": sea,
+        },
+        "chart": {"type": "rectangle", "to_world": to(("translate", [0, -2.2, 0])), "bsdf": squares()},
+        "ground": floor(y=-4.0),
+    }
 
 
 def lamp_in_fog():
@@ -69,8 +84,13 @@ def lamp_in_fog():
     fog = {"type": "cube", "to_world": to(("scale", 2.0)), "bsdf": {"type": "null"}, "interior": dark(0.2, 0.4, 0.6)}
     board = {"type": "rectangle", "to_world": to(("translate", [0.4, 0, 0]), ("rotate", [0, 1, 0], 30), ("scale", 0.8)),
              "bsdf": {"type": "twosided", "nested": squares(size=4)}}  # fmt: skip
-    return {"sensor": camera(origin=(0.3, 0.5, 7)), "lamp": point_light((-1.2, 0.6, 1.2), (3, 3, 3)), "fog": fog, "board": board,
-            "sky": {"type": "constant", "radiance": colour(0.05, 0.05, 0.05)}}  # fmt: skip
+    return {
+        "sensor": camera(origin=(0.3, 0.5, 7)),
+        "lamp": point_light((-1.2, 0.6, 1.2), (3, 3, 3)),
+        "fog": fog,
+        "board": board,
+        "sky": {"type": "constant", "radiance": colour(0.05, 0.05, 0.05)},
+    }
 
 
 def one_behind_the_other():
@@ -93,9 +113,18 @@ def camera_inside():
     amber = {**dark(0.1, 0.2, 0.4), "id": "amber"}
     within = {"type": "ref", "id": "amber"}
     body = ball(0, radius=2.0, bsdf=glass(1.3), interior=within)
-    return {"amber": amber, "sensor": camera(origin=(0, 1.0, 1.0), target=(0, 0.9, -5), fov=50, medium=within), "sky": SKY,
-            "floor": floor(y=-1.0), "body": body,
-            "board": {"type": "rectangle", "to_world": to(("translate", [0, 1, -4]), ("scale", 1.5)), "bsdf": squares(size=4)}}  # fmt: skip
+    return {
+        "amber": amber,
+        "sensor": camera(origin=(0, 1.0, 1.0), target=(0, 0.9, -5), fov=50, medium=within),
+        "sky": SKY,
+        "floor": floor(y=-1.0),
+        "body": body,
+        "board": {
+            "type": "rectangle",
+            "to_world": to(("translate", [0, 1, -4]), ("scale", 1.5)),
+            "bsdf": squares(size=4),
+        },
+    }
 
 
 def mirror_and_sheet():
@@ -116,7 +145,8 @@ def mirror_and_sheet():
 
 @dataclass
 class Case:
-    """``parts`` of a scene; ``depth`` of its paths; options of refscatter; renders (number, samples per pixel) of both sides."""
+    """``parts`` of a scene; ``depth`` of its paths; options of refscatter; renders (number, samples per pixel) of
+    both sides."""
 
     parts: Callable
     depth: int = 12
@@ -161,8 +191,12 @@ def theirs(case, first=0):
 
 def kept(name):
     case = CASES[name]
-    return references.of(f"lit through media {name}", {**case.parts(), "depth": case.depth, "renders": case.theirs, "res": RES},
-                         lambda: theirs(case), BLOCK)  # fmt: skip
+    return references.of(
+        f"lit through media {name}",
+        {**case.parts(), "depth": case.depth, "renders": case.theirs, "res": RES},
+        lambda: theirs(case),
+        BLOCK,
+    )
 
 
 @pytest.mark.parametrize("name", build.slow_ones(CASES, LONG))

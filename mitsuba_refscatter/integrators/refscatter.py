@@ -155,6 +155,15 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
     def _pass(self, prepared, medium, counts, whole, silent=False):
         """``RenderPass`` of this plugin."""
         return RenderPass(
-            prepared=prepared, options=self.options, medium=medium, scatter=self.scatter, missing=self.missing_in_media,
-            surfaces=self.surfaces, messages=self.messages, counts=counts, refracts=self.refracts, whole=whole, silent=silent,
-        )  # fmt: skip
+            prepared=prepared,
+            options=self.options,
+            medium=medium,
+            scatter=self.scatter,
+            missing=self.missing_in_media,
+            surfaces=self.surfaces,
+            messages=self.messages,
+            counts=counts,
+            refracts=self.refracts,
+            whole=whole,
+            silent=silent,
+        )

@@ -45,5 +45,6 @@ def refuse_nested(props):
                 raise options.OptionError(f"refscatter: the nested {other.class_name()} is no integrator: remove it")
             mi.Log(
                 mi.LogLevel.Warn,
-                f"refscatter: the nested {other.class_name()} is left out, as surfaces are shaded by paths of refscatter: remove it",
+                f"refscatter: the nested {other.class_name()} is left out, as surfaces are shaded by paths of "
+                f"refscatter: remove it",
             )

@@ -21,23 +21,20 @@ from .surfaces import shape_number
 
 
 def read(scene, tolerance, cache, straight=False, surfaces=False):
-    """Reads a ``mi.Scene``; ``tolerance``: relative error of the image that replacing curved shapes by meshes may
-    cause; ``cache``: ``Cache``; ``straight``: whether light goes straight through all boundaries, as if they were
-    ``null`` (camera rays are refracted all the same). Raises ``SceneError`` for what cannot be rendered."""
+    """``Scene`` of a ``mi.Scene``. Raises ``SceneError`` for what cannot be rendered.
+
+    tolerance  relative error of the image that replacing curved shapes by meshes may cause
+    cache      ``Cache``
+    straight   whether light goes straight through all boundaries, as if they were ``null``; camera rays don't
+    surfaces   whether surfaces are shown, so that there is something to see without media, too
+    """
     scene = tessellation.expand(scene, lambda shape: body_reader.kind_of(shape) is not None, tolerance)
-    bodies, others, kinds = [], [], [body_reader.kind_of(shape) for shape in scene.shapes()]
-    for shape, kind in zip(scene.shapes(), kinds):
-        if kind is None:
-            others.append(shape)
-        else:
-            bodies.append(
-                body_reader.read(shape, kind, len(bodies), sum(body.triangle_count for body in bodies), cache)
-            )
+    bodies, others = _bodies(scene, cache)
     regions = Regions(bodies, scene.sensors()).found
     if not surfaces and not any(region.medium is not None for region in regions):
         raise SceneError(
             "the scene has no body with a medium, so there is no scattering to compute: give a mesh a "
-            '<bsdf type="dielectric"/> and a <medium name="interior" type="homogeneous"/>'
+            '<bsdf type="dielectric"/> and a <medium name="interior" type="homogeneous"/>, or set surfaces to true'
         )
     emitters = emitter_reader.read(scene, bodies, any(region.scatters for region in regions))
     passed = [body for body in bodies if straight or not body.refracts]
@@ -81,6 +78,18 @@ def read(scene, tolerance, cache, straight=False, surfaces=False):
         if any(map(_is_mirror, others))
         else None,
     )
+
+
+def _bodies(scene, cache):
+    """``Body`` of every boundary, and the shapes that are none."""
+    bodies, others, kinds, count = [], [], [body_reader.kind_of(shape) for shape in scene.shapes()], 0
+    for shape, kind in zip(scene.shapes(), kinds):
+        if kind is None:
+            others.append(shape)
+        else:
+            bodies.append(body_reader.read(shape, kind, len(bodies), count, cache))
+            count += bodies[-1].triangle_count
+    return bodies, others
 
 
 def _where(flags):

@@ -118,7 +118,8 @@ class Scene:
         return dr.select(known, dr.gather(mi.UInt32, self.owner, region, known), NONE)
 
     def lets_pass(self, hit):
-        """Whether rays that meet a boundary (``crossing.Hit``) and go through it are not bent, as if it were not there."""
+        """Whether rays that meet a boundary (``crossing.Hit``) and go through it are not bent, as if it were not
+        there."""
         if self.straight is None:
             return mi.Bool(False)
         return hit.boundary & (dr.gather(mi.UInt32, self.straight, hit.target, hit.boundary) == 1)

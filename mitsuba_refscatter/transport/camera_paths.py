@@ -276,7 +276,8 @@ def _split(walk, legs, hit):
 
 
 def _drop(walk, legs, importance, dropped, number):
-    """Keeps some of the legs that the chain does not follow, by Russian roulette: those that are left bring as much as all."""
+    """Keeps some of the legs that the chain does not follow, by Russian roulette: those that are left bring as much
+    as all."""
     n = len(legs)
     q = dr.minimum(importance, 1)
     u = mi.sample_tea_float32(dr.arange(mi.UInt32, n), dr.opaque(mi.UInt32, walk.limits.seed + number))

@@ -1,8 +1,8 @@
 """Sampled paths from where the camera's deterministic chain ends, through media that absorb them.
 
-At plain surfaces light is gathered by emitter and BSDF sampling with multiple importance sampling (Veach and Guibas 1995, balance
-heuristic). Boundaries are sampled as what they are. On every leg, also those to lights, media leave exp(-sigma_t length); what they scatter
-is not followed.
+At plain surfaces light is gathered by emitter and BSDF sampling with multiple importance sampling (Veach and Guibas
+1995, balance heuristic). Boundaries are sampled as what they are. On every leg, also those to lights, media leave
+exp(-sigma_t length); what they scatter is not followed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from .transmittance import Transmittance
 class SurfaceLimits:
     """How far paths go.
 
-    max_depth      edges of the longest path from the camera, those through boundaries that do not refract not counted; -1: any number
+    max_depth      edges of the longest path from the camera, those through boundaries that do not refract not
+                   counted; -1: any number
     hide_emitters  whether emitters that the camera sees directly are left out
     """
 
@@ -77,7 +78,8 @@ class SurfacePaths:
         self.max_depth = dr.opaque(mi.UInt32, most)
 
     def radiance(self, legs: Legs, arrived, seed):
-        """Radiance (Spectrum) that arrives along legs, without their weights, and whether they meet anything that is seen (Bool).
+        """Radiance (Spectrum) that arrives along legs, without their weights, and whether they meet anything that
+        is seen (Bool).
 
         arrived  whether the weights hold already what media take on the way to what legs meet first
         seed     of random numbers
@@ -88,12 +90,21 @@ class SurfacePaths:
         self.transmittance = Transmittance(self.scene, self.wavelengths, unbent=True)
         o = self._past_emitters(legs) if self.limits.hide_emitters else legs.o
         path = _Path(
-            o=mi.Point3f(o), d=mi.Vector3f(legs.d), region=mi.UInt32(legs.region), throughput=dr.full(mi.Spectrum, 1, n),
-            radiance=dr.zeros(mi.Spectrum, n), depth=mi.UInt32(legs.depth), arrived=dr.full(mi.Bool, arrived, n),
-            delta=dr.full(mi.Bool, True, n), pdf=dr.full(mi.Float, 1, n), last=mi.Point3f(o), eta=dr.full(mi.Float, 1, n),
-            random=mi.PCG32(size=n, initstate=dr.opaque(mi.UInt64, seed)), seen=dr.full(mi.Bool, False, n),
+            o=mi.Point3f(o),
+            d=mi.Vector3f(legs.d),
+            region=mi.UInt32(legs.region),
+            throughput=dr.full(mi.Spectrum, 1, n),
+            radiance=dr.zeros(mi.Spectrum, n),
+            depth=mi.UInt32(legs.depth),
+            arrived=dr.full(mi.Bool, arrived, n),
+            delta=dr.full(mi.Bool, True, n),
+            pdf=dr.full(mi.Float, 1, n),
+            last=mi.Point3f(o),
+            eta=dr.full(mi.Float, 1, n),
+            random=mi.PCG32(size=n, initstate=dr.opaque(mi.UInt64, seed)),
+            seen=dr.full(mi.Bool, False, n),
             active=dr.full(mi.Bool, True, n),
-        )  # fmt: skip
+        )
         (end,) = dr.while_loop(
             (path,), lambda path: path.active, lambda path: (self._vertex(path),), label="surfaces", mode="symbolic"
         )
