@@ -125,6 +125,7 @@ def _rays(frame, sampler, border, batch):
         time += sampler.next_1d() * sensor.shutter_open_time()
     wavelength = sampler.next_1d() if mi.is_spectral else mi.Float(0)
     ray, weight = sensor.sample_ray_differential(time, wavelength, scaled, aperture)
+    ray = mi.Ray3f(ray)
     dr.eval(ray, weight, position)
     # With a box filter the offset inside the pixel must not matter, not even by rounding.
     return ray, weight, whole if film.rfilter().is_box_filter() else position

@@ -14,7 +14,7 @@ import pytest
 import references
 from against_volpath import BLOCK, RES, camera, colour, glass, to
 from build import point_light
-from comparison import check, compare
+from comparison import block_means, check, compare
 
 pytestmark = pytest.mark.usefixtures("rgb")
 
@@ -208,3 +208,85 @@ def test_surfaces_through_media(name):
 @pytest.mark.parametrize("name", CASES)
 def test_volpath_still_finds_what_is_kept(name):
     check(compare(theirs(CASES[name], first=1000), kept(name), BLOCK), mean_error=0.01, block_error=0.05)
+
+
+def test_furnace():
+    """White floor, white sky and clear glass: all of it looks like the sky, as long as total reflection does not
+    trap light."""
+    white = {"type": "diffuse", "reflectance": colour(1, 1, 1)}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "sensor": camera(origin=(0, 2.4, 7), target=(0, 0.6, 0)),
+            "integrator": {"type": "refscatter"},
+            "sky": {"type": "constant", "radiance": colour(1, 1, 1)},
+            "floor": floor(white),
+            "clear": ball(-1.1),
+            "dense": ball(1.1, bsdf=glass(2.0)),
+        }
+    )
+    images = renders(scene, 8, 64)
+    mean, error = images.mean((1, 2)), images.mean((1, 2)).std(0, ddof=1) / 8**0.5
+    assert (error < 1e-3).all() and np.abs(mean.mean(0) - 1).max() < 5e-3
+    blocks = block_means(images, BLOCK)
+    z = (blocks.mean(0) - 1) / np.maximum(blocks.std(0, ddof=1) / 8**0.5, 1e-6)
+    assert np.abs(blocks.mean(0) - 1).max() < 0.02 and np.median(np.abs(z)) < 1.5
+
+
+def test_a_scene_without_bodies_is_that_of_path():
+    """Nothing but plain surfaces, under a panel and a sky; shown is what ``path`` shows."""
+
+    def scene(integrator):
+        panel = {"type": "rectangle", "to_world": to(("translate", [0, 4, 0]), ("rotate", [1, 0, 0], 90)),
+                 "emitter": {"type": "area", "radiance": colour(3, 2, 1)}}  # fmt: skip
+        block = {
+            "type": "cube",
+            "to_world": to(("translate", [0, 1, 0])),
+            "bsdf": {"type": "roughconductor", "alpha": 0.2},
+        }
+        parts = {"sensor": camera(origin=(0, 2.4, 7), target=(0, 0.6, 0)), "sky": SKY, "panel": panel, "block": block}
+        return mi.load_dict({"type": "scene", "integrator": integrator, "floor": floor(), **parts})
+
+    ours, expected = (
+        renders(scene({"type": name, "max_depth": 8}), 8, spp) for name, spp in (("refscatter", 64), ("path", 128))
+    )
+    check(compare(ours, expected, BLOCK), mean_error=0.003, block_error=0.02)
+
+
+def test_nothing_to_show_is_refused(rgb):
+    """Without media and without surfaces."""
+    scene = mi.load_dict({"type": "scene", "sensor": camera(), "sky": SKY, "floor": floor(),
+                          "integrator": {"type": "refscatter", "surfaces": False}})  # fmt: skip
+    with pytest.raises(RuntimeError, match="no body with a medium.*or set surfaces to true"):
+        scene.integrator().render(scene, spp=1)
+
+
+@pytest.mark.slow
+def test_no_fireflies_that_volpath_lacks():
+    """Of a million paths each: none brings more than a hundred times what the brightest thousandth of volpath's do."""
+    case = CASES["tinted glass"]
+    a, b = (
+        np.sort(renders(load(case, {"type": name, "max_depth": case.depth}), 1000, 1).max(-1).ravel())
+        for name in ("refscatter", "volpath")
+    )
+    assert len(a) > 1e6
+    bright = b[-len(b) // 1000]
+    print(a[-3:], b[-3:], bright)
+    assert (a > 4 * b[-1]).sum() == 0 and (a > 100 * bright).sum() <= (b > 100 * bright).sum()
+
+
+def test_spectral_variants(rgb):
+    """A tinted ball in a spectral variant is that in rgb, as far as colours are."""
+    if "llvm_ad_spectral" not in mi.variants():
+        pytest.skip("no spectral variant")
+    images = []
+    for name in (rgb, "llvm_ad_spectral"):
+        mi.set_variant(name)
+        body = ball(0, interior=dark(0.4, 0.4, 0.4, scale=2.0))
+        parts = over_the_floor(body=body, sky={"type": "constant", "radiance": colour(0.5, 0.5, 0.5)})
+        scene = mi.load_dict({"type": "scene", "integrator": {"type": "refscatter", "max_depth": 8}, **parts})
+        images.append(renders(scene, 8, 64))
+    mi.set_variant(rgb)
+    # Grey reflectances above zero are upsampled to spectra that are even to a percent.
+    a, b = (x.mean((0, 1, 2)) for x in images)
+    assert np.abs(a / b - 1).max() < 0.02

@@ -118,7 +118,8 @@ class SurfacePaths:
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All, path.active)
         hit = self._hit(path, pi)
         region = path.region if hit is None else dr.select(hit.boundary, hit.near, path.region)
-        throughput = path.throughput * dr.select(path.arrived, 1, self._left(path.d, region, si))
+        length = dr.select(si.is_valid(), si.t, tolerances.ENDLESS)
+        throughput = path.throughput * dr.select(path.arrived, 1, self._left(path.d, region, length))
 
         emitter = si.emitter(scene, path.active)
         visible = path.active & (path.depth < self.max_depth) & (emitter != None)  # noqa: E711 - lane by lane
@@ -132,10 +133,12 @@ class SurfacePaths:
         lit = goes_on & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         random = path.random
         u = mi.Point2f(random.next_float32(), random.next_float32())
-        radiance += dr.select(lit, throughput * self._from_emitters(si, bsdf, region, u, lit), 0)
-
+        there, arriving = self._from_emitters(si, region, u, lit)
         w, u = random.next_float32(), mi.Point2f(random.next_float32(), random.next_float32())
-        sample, weight = bsdf.sample(mi.BSDFContext(), si, w, u, goes_on)
+        value, pdf, sample, weight = bsdf.eval_pdf_sample(mi.BSDFContext(), si, si.to_local(there.d), w, u, goes_on)
+        share = dr.select(there.delta, 1, _balance(there.pdf, pdf))
+        radiance += dr.select(lit & (there.pdf != 0), throughput * value * arriving * share, 0)
+
         d = si.to_world(sample.wo)
         throughput *= weight
         passes = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
@@ -178,15 +181,17 @@ class SurfacePaths:
         """``Hit``, where regions matter."""
         return Hit.of(self.scene, path.d, pi, path.active) if self.scene.regions else None
 
-    def _left(self, d, region, si):
+    def _left(self, d, region, length):
         """What media leave of light on legs (Spectrum)."""
+        if not any(one.medium is not None for one in self.scene.regions):
+            return mi.Spectrum(1)
         sigma_t = mi.Spectrum(0)
         for one in self.scene.regions:
             if one.medium is not None:
                 along = one.coefficients(self.wavelengths, d)[1]
                 sigma_t = dr.select(region == one.index, along, sigma_t)
         within = region != NONE
-        return dr.exp(-sigma_t * dr.select(within, dr.select(si.is_valid(), si.t, tolerances.ENDLESS), 0))
+        return dr.exp(-sigma_t * dr.select(within, length, 0))
 
     def _weight_of_met(self, path, si, active):
         """The balance heuristic for emitters that are met."""
@@ -196,16 +201,26 @@ class SurfacePaths:
         other = self.scene.mi_scene.pdf_emitter_direction(last, there, active & ~path.delta)
         return dr.select(path.delta, 1, _balance(path.pdf, other))
 
-    def _from_emitters(self, si, bsdf, region, u, active):
-        """What comes straight from emitters, times the BSDF (Spectrum)."""
+    def _from_emitters(self, si, region, u, active):
+        """A sample of emitters (DirectionSample3f), and what comes straight from there over its density (Spectrum)."""
         there, weight = self.scene.mi_scene.sample_emitter_direction(si, u, False, active)
         active &= there.pdf != 0
-        endless = mi.has_flag(there.emitter.flags(), mi.EmitterFlags.Infinite)
         ray = si.spawn_ray_to(there.p)  # from off the surface, which may be nearer by more than an emitter is thick
-        distance = dr.select(endless, tolerances.ENDLESS, ray.maxt)
-        left, _ = self.transmittance.follow(ray.o, ray.d, distance, region, active)
-        value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, si.to_local(there.d), active)
-        return value * weight * left * dr.select(there.delta, 1, _balance(there.pdf, pdf))
+        distance = ray.maxt
+        if any(region.reach is not None for region in self.scene.regions):  # media without end
+            endless = mi.has_flag(there.emitter.flags(), mi.EmitterFlags.Infinite)
+            distance = dr.select(endless, tolerances.ENDLESS, distance)
+        return there, weight * self._left_on_the_way(ray, distance, region, active)
+
+    def _left_on_the_way(self, ray, distance, region, active):
+        """What is left (Spectrum) of light that comes along a ray, from as far as ``distance``; 0 where anything is
+        in the way."""
+        if self.scene.straight is not None:
+            return self.transmittance.follow(ray.o, ray.d, distance, region, active)[0]
+        ray = self._ray(ray.o, ray.d)
+        ray.maxt = distance
+        free = ~self.scene.mi_scene.ray_test(ray, active)
+        return dr.select(free, self._left(ray.d, region, distance), 0)
 
     def _is_seen(self, si):
         """Whether what rays meet first is there for the alpha channel."""
