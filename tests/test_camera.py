@@ -299,6 +299,7 @@ def test_a_missed_crossing_between_nested_bodies_is_no_overlap(rgb, nested):
         mi.UInt32(inner.inside),
         0,
         0,
+        0,
         mi.Vector3f(0),
     )
     hit = SimpleNamespace(pi=SimpleNamespace(t=mi.Float(0.02)), target=mi.UInt32(outer.index))

@@ -161,7 +161,7 @@ def test_a_ray_that_slips_into_a_closed_body(make, inside):
     refuse."""
     found = read(make.scene(), 0.01, Cache())
     leg = camera_paths.Legs(mi.Point3f(0, 0, 0.5 if inside else 3), mi.Vector3f(0, 0, -1), mi.Spectrum(1), mi.UInt32(0),
-                      mi.UInt32(NONE), mi.UInt32(0), mi.UInt32(0), mi.Vector3f(0))  # fmt: skip
+                      mi.UInt32(NONE), mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.Vector3f(0))  # fmt: skip
     yes, zero = mi.Bool(True), mi.UInt32(0)
     region = mi.UInt32(found.bodies[0].inside)
     hit = Hit(pi=None, valid=yes, target=zero, boundary=yes, tri=None, leaving=yes, near=region, behind=region)

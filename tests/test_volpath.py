@@ -160,13 +160,9 @@ GLASS = {"bumpy": (bumpy_sphere(3), 0), "box": (box((-0.9, -0.7, -0.8), (0.9, 0.
 def glass_parts(name, directory, integrator, sampler):
     """A checkerboard under a point lamp and a sky, seen past and through an absorbing glass body.
 
-    ``path``, our nested integrator, ignores media, so light that passes the glass on its way to the board
-    is absorbed by ``volpath`` only.  Three choices make that negligible.  The lamp is a point: what the
-    glass refracts from it onto the board has probability 0 in both, and its shadow rays end at the glass in
-    both.  The board is nearly black (reflectance 0.002 at most) under a bright lamp, so that what it sends
-    through the glass back to itself is below 0.2 % of what it shows.  The sky (0.1 to 0.3), which is seen
-    directly, in reflections and through the glass, adds 0.002 times that to the board, of which the
-    part through the glass is below 0.1 % of the image mean (0.08 to 0.2)."""
+    Light that passes the glass on its way to the board is not the point here (``test_surfaces_against_volpath``). What
+    ``volpath`` finds of it is rare, so the scene has little: the lamp is a point, whose light through the glass has
+    probability 0, and the board is nearly black under a bright lamp."""
     (mesh, angle), transform = GLASS[name], mi.ScalarTransform4f()
     squares = {"type": "checkerboard", "to_uv": transform.scale(4),
                "color0": colour(0.002, 0.001, 0.0005), "color1": colour(0.0002, 0.0005, 0.001)}  # fmt: skip

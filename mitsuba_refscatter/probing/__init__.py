@@ -184,7 +184,7 @@ class _Along:
             one, origin=one.origin + t * one.direction, offset=one.offset + 0 * t, length=step + 0 * t,
             direction=one.direction + mi.Vector3f(0 * t), weight=weight, sample=i,
         )  # fmt: skip
-        paths = camera_paths.Paths([[] for _ in self.prepared.scene.regions], [], False, mi.Bool(True))
+        paths = camera_paths.Paths([[] for _ in self.prepared.scene.regions], [], [], mi.Bool(True))
         paths.parts[self.region.index].append(pieces)
         dr.eval(pieces)
         return paths
