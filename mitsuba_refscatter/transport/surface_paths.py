@@ -150,11 +150,7 @@ class SurfacePaths:
             region = dr.select(hit.boundary, dr.select(through, hit.behind, hit.near), region)
         eta = path.eta * sample.eta
         depth = path.depth + dr.select(passes, mi.UInt32(0), 1)
-        # Russian roulette, by what is left without what refraction does to radiance.
-        q = dr.minimum(dr.max(throughput) * dr.square(eta), tolerances.ROULETTE_MOST)
-        plays = depth >= tolerances.ROULETTE_DEPTH
-        survives = ~plays | (random.next_float32() < q)
-        throughput = dr.select(plays, throughput / dr.maximum(q, 1e-30), throughput)
+        throughput, survives = _roulette(throughput, eta, depth, random)
         return _Path(
             o=mi.Point3f(si.spawn_ray(d).o),
             d=mi.Vector3f(d),
@@ -239,6 +235,14 @@ class SurfacePaths:
 
         state = mi.Point3f(legs.o), mi.UInt32(legs.depth) == 0
         return dr.while_loop(state, lambda _, active: active, step, label="hidden emitters", mode="symbolic")[0]
+
+
+def _roulette(throughput, eta, depth, random):
+    """Throughput of paths that go on, and which do (Bool), by what is left without what refraction does to radiance."""
+    q = dr.minimum(dr.max(throughput) * dr.square(eta), tolerances.ROULETTE_MOST)
+    plays = depth >= tolerances.ROULETTE_DEPTH
+    survives = ~plays | (random.next_float32() < q)
+    return dr.select(plays, throughput / dr.maximum(q, 1e-30), throughput), survives
 
 
 def _balance(a, b):
