@@ -27,7 +27,7 @@ test-all: $(VENV)/.test llvm
 
 # Without the test of a full disk, on which coverage itself can't be written.
 coverage: $(VENV)/.test llvm
-	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered --deselect tests/test_cli.py::test_a_full_disk_keeps_the_earlier_picture
+	$(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered --deselect tests/test_commands.py::test_a_full_disk_keeps_the_earlier_picture
 
 references: $(VENV)/.test llvm
 	$(BIN)/python -m pytest -n 2 --make-references
@@ -47,7 +47,7 @@ figures: $(VENV)/.test llvm
 	$(BIN)/refscatter compare $(SCENE) --seconds 10 -o $(FIGURES)/compare
 	$(BIN)/refscatter equal-error -o $(FIGURES)/equal_error
 	$(BIN)/refscatter convergence -o $(FIGURES)/convergence
-	$(BIN)/python -m pytest -m "" -s tests/test_extremes.py tests/test_fireflies.py tests/test_unseen.py tests/test_reference.py
+	$(BIN)/python -m pytest -m "" -s tests/test_extremes_against_oracle.py tests/test_worst_of_a_million_rays.py tests/test_image_against_oracle.py tests/test_references_of_compare.py
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

@@ -1,7 +1,5 @@
 """Fixtures shared by the tests: which Mitsuba variants run here."""
 
-import sys
-
 import mitsuba as mi
 import pytest
 import references
@@ -10,15 +8,6 @@ import mitsuba_refscatter  # noqa: F401 - registers the plugins
 from mitsuba_refscatter import platform
 
 VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_rgb")
-
-
-def load_dict(*arguments, **more):
-    """``mi.load_dict`` in one thread. Mitsuba 3.9.1 makes the parts of a scene in several at once, which has ended in
-    ``std::bad_array_new_length`` once. The commands load scene files in one thread, too."""
-    return sys.modules[f"mitsuba.{mi.variant()}"].load_dict(*arguments, **{"parallel": False, **more})
-
-
-mi.load_dict = load_dict
 
 
 def pytest_addoption(parser):

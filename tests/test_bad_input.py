@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from faults import BALL, Maker, amber, moved, refused, render, sensor, with_faces
 from meshes import Mesh
-from test_cli import HANGS
+from test_commands import HANGS
 
 from mitsuba_refscatter import platform
 

@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-import test_imports
+import test_layers
 from typer.main import get_command
 
 from mitsuba_refscatter import example_scenes
@@ -109,7 +109,7 @@ def test_the_readme_is_short():
 def test_the_house_is_that_of_the_imports():
     """All folders and modules, from the ground up."""
     text = (PACKAGE / "README.md").read_text(encoding="utf-8")
-    for head, order in (("| the renderer | |", test_imports.CORE), ("| tools | |", test_imports.TOOLS)):
+    for head, order in (("| the renderer | |", test_layers.CORE), ("| tools | |", test_layers.TOOLS)):
         assert [name.removesuffix("/").removesuffix(".py") for name in first_cells(text, head)] == order, head
 
 

@@ -61,7 +61,7 @@ CHECKED = {
     "rounded_cube": Checked(5e-4, 4e-3, "9ed43edd710df579"),
     "branches": Checked(3e-3, 8e-3, "01923662c9165ae5"),
 }
-"""Of shipped scenes; ``tests/test_reference.py`` measures that."""
+"""Of shipped scenes; ``tests/test_references_of_compare.py`` measures that."""
 
 
 def fingerprint(*files: str | Path) -> str:

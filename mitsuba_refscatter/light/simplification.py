@@ -7,7 +7,7 @@ camera rays and shadow rays meet the body itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -43,8 +43,8 @@ class Level:
     triangles: int
     faces: np.ndarray | None = None
     twin: np.ndarray | None = None
-    vertices: np.ndarray | None = None
-    normals: np.ndarray | None = None
+    vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     digest: bytes = b""
 
     def of(self, body, scene, once):

@@ -252,7 +252,7 @@ def _faces_out(shape, matrix):
     probe = Surface(points, normals, None, np.zeros((0, 3), dtype=np.int64)).moved(matrix)
     radius = np.linalg.norm(matrix[:3, 0])
     start = probe.vertices + 0.5 * radius * probe.normals
-    ray = mi.Ray3f(_vectors(mi.Point3f, start), _vectors(mi.Vector3f, -probe.normals))
+    ray = mi.Ray3f(_vectors(mi.Point3f, start), _vectors(mi.Vector3f, -np.asarray(probe.normals)))
     # Not shape.ray_intersect(ray): Mitsuba 3.9.1 then fails while an instance of a group of several shapes exists.
     si = shape.compute_surface_interaction(ray, shape.ray_intersect_preliminary(ray))
     away = np.linalg.norm(np.array(si.p).T - probe.vertices, axis=1)

@@ -4,7 +4,7 @@
 
 No other module of the renderer holds one, but 1e-30 for a divisor that must not be 0. Options stand in ``options.py``.
 Tools (``benchmarks``, ``probing`` and others) name their own settings at the head of their modules.
-``tests/test_tolerances.py`` holds this.
+``tests/test_thresholds_have_one_home.py`` holds this.
 """
 
 from .meshes import *

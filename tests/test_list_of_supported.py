@@ -12,14 +12,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-import test_lights
-import test_real_scenes as real
+import test_lights_with_closed_forms
+import test_scene_kinds_against_volpath as real
 from faults import BALL, HONEY, Maker, amber, glass, moved, rectangle, refused, render, sensor, with_faces
 from test_bad_input import FLIPPED
-from test_camera_side import CUP
-from test_fuzz import write_obj
-from test_refusals import with_fins
-from test_unsupported import BOUNDARIES, MEDIA, OVERLAPPING
+from test_camera_in_wrong_medium import CUP
+from test_damaged_files import write_obj
+from test_refusals_name_one_cause import with_fins
+from test_refused_scenes import BOUNDARIES, MEDIA, OVERLAPPING
 
 from mitsuba_refscatter.options import Options
 from mitsuba_refscatter.scene import support
@@ -137,31 +137,36 @@ def test_glass_between_is_a_shadow(make):
 
 
 SUPPORTED = {
-    "point": ["boundary null", test_lights.test_airlight],
-    "spot": ["light spot", "light projector", test_lights.test_spot],
-    "directional": ["light directional", test_lights.test_directional],
+    "point": ["boundary null", test_lights_with_closed_forms.test_airlight],
+    "spot": ["light spot", "light projector", test_lights_with_closed_forms.test_spot],
+    "directional": ["light directional", test_lights_with_closed_forms.test_directional],
     "area": [f"light {name}" for name in ("sphere", "rectangle", "disk", "cylinder", "mesh", "sphere through glass")],
     "environment": [f"light {name}" for name in ("constant", "envmap", "sunsky", "envmap through glass")],
     "several": [f"light {name}" for name in ("several", "pool", "pool through glass")],
     "dielectric": [f"boundary {name}" for name in ("eta above 1", "eta below 1", "eta of 1")],
     "straight": [f"boundary {name}" for name in ("null", "thin", "thin from behind", "two straight ones")],
     "tints": [f"boundary {name}" for name in ("tinted", "thin and tinted")],
-    "mesh": ["boundary open water", "boundary eta above 1", test_lights.test_under_water, test_formats_of_meshes],
+    "mesh": [
+        "boundary open water",
+        "boundary eta above 1",
+        test_lights_with_closed_forms.test_under_water,
+        test_formats_of_meshes,
+    ],
     "analytic": [f"boundary {name}" for name in ("sphere", "closed cylinder")],
     "instance": ["place instances"],
     "camera": [f"place {name}" for name in ("camera inside", "camera under water", "no boundary")],
     "light inside": [f"place {name}" for name in ("light inside", "both inside", "light in a bubble")],
     "opaque": [f"place {name}" for name in ("opaque outside", "opaque inside")],
-    "bodies": ["place two bodies", "place standing on another", test_lights.test_bodies_that_touch],
-    "nested": ["place bubble in glass", test_lights.test_hollow_shell],
+    "bodies": ["place two bodies", "place standing on another", test_lights_with_closed_forms.test_bodies_that_touch],
+    "nested": ["place bubble in glass", test_lights_with_closed_forms.test_hollow_shell],
     "seen": ["place in a mirror", "place through glass"],
     "glass between": [test_glass_between_is_a_shadow],
     "homogeneous": ["boundary open water"],
-    "hg": [test_lights.test_airlight],
+    "hg": [test_lights_with_closed_forms.test_airlight],
     "phase": [f"phase {name}" for name in real.PHASES],
 }
-"""Where each entry is compared with volpath, the oracle or a closed form: names of cases of ``test_real_scenes``,
-and tests."""
+"""Where each entry is compared with volpath, the oracle or a closed form: names of cases of
+``test_scene_kinds_against_volpath``, and tests."""
 
 
 def described(place):

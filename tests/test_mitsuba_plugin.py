@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from comparison import z_values
 from meshes import bumpy_sphere
-from test_cli import HANGS
+from test_commands import HANGS
 
 import mitsuba_refscatter
 from mitsuba_refscatter import tolerances
@@ -155,8 +155,8 @@ def test_what_is_not_resolved_is_told_once(rgb, body, monkeypatch, capfd, most, 
     ], ids=["curve", "interval", "beside", "point", "photons", "straight"],
 )  # fmt: skip
 def test_a_light_at_the_camera_is_told(rgb, body, capfd, integrator, aside, told):
-    """Once, where its light cannot be found; ``tests/test_accuracy.py`` holds what is found of one just beside to a
-    formula."""
+    """Once, where its light cannot be found; ``tests/test_rays_against_oracle_and_formulas.py`` holds what is found
+    of one just beside to a formula."""
     lamp = {"type": "point", "position": [0.3 + aside, 0.8, 5], "intensity": grey(1.0)}
     image(scene(body, integrator, extra={"lamp": lamp}))
     lines = "".join(capfd.readouterr()).splitlines()
@@ -239,7 +239,7 @@ SCRIPT = """
     {first}
     {second}
     sys.path.insert(0, {tests!r})
-    from test_plugin import image, refscatter, scene
+    from test_mitsuba_plugin import image, refscatter, scene
     assert image(scene({body!r}, refscatter()), spp=1)[..., :3].max() > 0.01
     print("rendered")
 """

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from test_cli import HANGS
+from test_commands import HANGS
 
 from mitsuba_refscatter import platform
 

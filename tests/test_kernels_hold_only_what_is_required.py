@@ -8,7 +8,7 @@ import mitsuba as mi
 import pytest
 from build import mesh_shape, point_light
 from meshes import bumpy_sphere, icosphere
-from test_real_scenes import LAMP, ball_light, empty, glass, medium, panel, sky, spot, sun, to
+from test_scene_kinds_against_volpath import LAMP, ball_light, empty, glass, medium, panel, sky, spot, sun, to
 
 from mitsuba_refscatter import platform
 from mitsuba_refscatter.integrators.hooks import Hooks

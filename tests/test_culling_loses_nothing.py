@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from meshes import BoxTree, Mesh, bumpy_sphere, dot, make_patches, norm, take
 from pairs import Culling, bevelled_box, chords, lost_and_looked_at, one_body, random_case, torus, wavy
-from test_accuracy import read_mesh
+from test_rays_against_oracle_and_formulas import read_mesh
 
 from mitsuba_refscatter import example_scenes, tolerances
 from mitsuba_refscatter.culling import beam

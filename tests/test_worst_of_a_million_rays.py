@@ -1,7 +1,8 @@
 """A million random rays: the largest error of a single one, against the oracle.
 
 The oracle is too slow for all of them. It judges those in which the package's own tolerances and estimators differ
-most: an error that is in all of them alike would have to be in the sums of ``tests/test_extremes.py``, too.
+most: an error that is in all of them alike would have to be in the sums of
+``tests/test_extremes_against_oracle.py``, too.
 """
 
 from dataclasses import replace
@@ -9,7 +10,7 @@ from dataclasses import replace
 import build
 import numpy as np
 import pytest
-from test_extremes import CAMERA, CASES
+from test_extremes_against_oracle import CAMERA, CASES
 
 from mitsuba_refscatter.options import Options
 

@@ -1,7 +1,7 @@
 """Every kind of light, of boundary, of medium and of place that a scene may hold, against ``volpath``.
 
 One scene each. ``volpath`` connects lights through null and thindielectric boundaries; through refracting ones it
-only finds those that are large. Spots and directional lights behind refraction: test_lights.py.
+only finds those that are large. Spots and directional lights behind refraction: test_lights_with_closed_forms.py.
 """
 
 import build
@@ -229,7 +229,8 @@ PLACES = {
         ours=(8, 64),
         theirs=(24, 64),
     ),
-    # Not in view: past a point light in view volpath's variance is infinite (test_lights.test_airlight_in_glass).
+    # Not in view: past a point light in view volpath's variance is infinite
+    # (test_lights_with_closed_forms.test_airlight_in_glass).
     "both inside": Case(
         lambda: {
             "light": point_light((-0.8, 0.2, 0.8)),

@@ -11,7 +11,7 @@ import pytest
 from against_volpath import BLOCK, WITHIN, Case, colour, glass
 from build import point_light
 from comparison import check, compare
-from test_cli import SPHERE, assert_one_sentence, needs_variant, refscatter
+from test_commands import SPHERE, assert_one_sentence, needs_variant, refscatter
 
 from mitsuba_refscatter import example_scenes, platform
 from mitsuba_refscatter.benchmarks import duel, methods, race, suite, timing

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from meshes import Mesh, bumpy_sphere, triangle_grid
-from test_same_again import assert_same
+from test_reproducible import assert_same
 
 from mitsuba_refscatter import options
 from mitsuba_refscatter.core.cache import Cache

@@ -9,8 +9,8 @@ import numpy as np
 import oracle
 import pytest
 from build import point_light, single_scattering
-from test_cli import SPHERE, assert_one_sentence, needs_variant, refscatter
-from test_reference import oracle_body
+from test_commands import SPHERE, assert_one_sentence, needs_variant, refscatter
+from test_references_of_compare import oracle_body
 
 import mitsuba_refscatter
 from mitsuba_refscatter import example_scenes, platform

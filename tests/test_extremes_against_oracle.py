@@ -15,7 +15,7 @@ import oracle
 import pytest
 from comparison import l1
 from meshes import Mesh, box, icosphere
-from test_accuracy import NEXT_TO_THE_CAMERA, against_the_plane, water
+from test_rays_against_oracle_and_formulas import NEXT_TO_THE_CAMERA, against_the_plane, water
 
 CAMERA, TOLERANCE = (0.0, 1.1, 5.2), 1e-3
 WORST = 5e-2

@@ -14,7 +14,7 @@ import pytest
 from against_volpath import glass, medium, to
 from comparison import bias, l1
 from meshes import bumpy_sphere
-from test_real_scenes import ball_light, panel, spot, sun
+from test_scene_kinds_against_volpath import ball_light, panel, spot, sun
 
 from mitsuba_refscatter.estimators import photons
 from mitsuba_refscatter.integrators.hooks import Hooks

@@ -8,7 +8,7 @@ import mitsuba as mi
 import OpenEXR
 import pytest
 import rich.console
-from test_cli import SPHERE, assert_one_sentence, needs_variant, refscatter, scene_file
+from test_commands import SPHERE, assert_one_sentence, needs_variant, refscatter, scene_file
 from typer.main import get_command
 from typer.testing import CliRunner
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from comparison import bias, l1
 from meshes import bumpy_sphere, icosphere
-from test_real_scenes import PLACES, sun
+from test_scene_kinds_against_volpath import PLACES, sun
 
 pytestmark = pytest.mark.usefixtures("rgb")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
-import test_real_scenes as real
+import test_scene_kinds_against_volpath as real
 from against_volpath import WITHIN, camera, colour, glass, to
 from build import point_light
 
@@ -183,7 +183,7 @@ COMPLETE = [
     ),
     *(f"phase {name}" for name in real.PHASES),
 ]
-"""Of ``test_real_scenes`` those that lack less than a few percent, but for what scatters again."""
+"""Of ``test_scene_kinds_against_volpath`` those that lack less than a few percent, but for what scatters again."""
 
 
 @pytest.mark.parametrize("name", COMPLETE)

@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from meshes import icosphere
-from test_cli import COMMAND, ENVIRONMENT, HANGS, ROOT, needs_variant
+from test_commands import COMMAND, ENVIRONMENT, HANGS, ROOT, needs_variant
 
 SCENES = int(os.environ.get("REFSCATTER_FUZZ_SCENES", "100"))
 ENOUGH = 100

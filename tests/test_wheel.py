@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
-from test_cli import assert_one_sentence, needs_variant
+from test_commands import assert_one_sentence, needs_variant
 
 import mitsuba_refscatter
 

@@ -59,6 +59,7 @@ ASKS = {
         "is_emitter",
         "pdf_emitter_direction",
         "ray_intersect",
+        "ray_test",
         "sample_emitter_direction",
     },
     "transport/transmittance.py": {"ray_intersect_preliminary"},
@@ -127,7 +128,7 @@ def test_the_package_itself_only_registers():
 
 
 def test_the_walk_sees_every_form_of_import(tmp_path, monkeypatch):
-    monkeypatch.setattr("test_imports.PACKAGE", tmp_path / "mitsuba_refscatter")
+    monkeypatch.setattr("test_layers.PACKAGE", tmp_path / "mitsuba_refscatter")
     file = tmp_path / "mitsuba_refscatter" / "culling" / "x.py"
     file.parent.mkdir(parents=True)
     file.write_text("from .. import a\nfrom ..b import c\nfrom . import d\nimport mitsuba_refscatter.e\n"

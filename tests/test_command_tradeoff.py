@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from comparison import l1
-from test_cli import SPHERE, needs_variant, refscatter
+from test_commands import SPHERE, needs_variant, refscatter
 
 from mitsuba_refscatter import example_scenes, tolerances
 from mitsuba_refscatter.benchmarks import tradeoff
