@@ -18,6 +18,7 @@ exactly and adds no noise: a difference is never negative.
 
 from dataclasses import replace
 
+import build
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -136,7 +137,7 @@ def test_light_points_present_a_uniform_disc():
         assert (r2**3).mean() == pytest.approx(1 / 4, abs=3e-3)
 
 
-@pytest.mark.parametrize("name", BODIES)
+@pytest.mark.parametrize("name", build.slow_ones(BODIES, ("bubble",)))
 def test_single_scattering(name, tmp_path):
     case = Case(name, tmp_path)
     kept = references.of(f"volpath {name}", BODIES[name], lambda: case.theirs(64, 256), BLOCK)

@@ -26,6 +26,11 @@ def chords(mesh, count, seed):
     return CameraRays(o, d, BoxTree([mesh]).closest(o, d, tri)[2][:, 0])
 
 
+def slow(*values):
+    """A case that ``make test-all`` runs, and ``make test`` doesn't: another of the same kind is quicker."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
 @pytest.mark.parametrize("g", [-0.7, 0.0, 0.9])
 def test_phase_is_normalised_and_g_is_its_mean_cosine(g):
     x, w = np.polynomial.legendre.leggauss(400)
@@ -144,7 +149,7 @@ def test_water_surface(eta):
         assert l1(curve, truth) < 1e-5 and np.abs(curve / truth - 1).max() < 3e-4
 
 
-@pytest.mark.parametrize("eta", [0.7, 1.05, 1.5])
+@pytest.mark.parametrize("eta", [slow(0.7), slow(1.05), 1.5])
 def test_sphere_mesh_tends_to_the_sphere(eta):
     rng, count, error = np.random.default_rng(4), 40, []
     d = unit(rng.normal(size=(count, 3)))
@@ -203,7 +208,7 @@ def light_through_tube(mesh, eta, light, tube, count, rng):
 
 @pytest.mark.parametrize(
     "amplitude, eta, smooth, seed",
-    [(0.2, 1.5, True, 4), (0.5, 0.8, True, 12), (0.5, 1.3, True, 10), (0.2, 1.4, False, 1)],
+    [(0.2, 1.5, True, 4), slow(0.5, 0.8, True, 12), slow(0.5, 1.3, True, 10), (0.2, 1.4, False, 1)],
 )
 def test_energy_and_shadows_against_random_light_rays(amplitude, eta, smooth, seed):
     mesh, light = bumpy_sphere(2, amplitude), np.array([0.3, 1.5, 1.6])
@@ -242,7 +247,7 @@ def test_screens_shadow_outside_and_inside():
         assert np.allclose(both[above], plain[above]) and (height < 1 or np.all(both == 0))
 
 
-@pytest.mark.parametrize("level, eta", [(1, 1.5), (3, 1.5), (2, 0.75)])
+@pytest.mark.parametrize("level, eta", [(1, 1.5), slow(3, 1.5), (2, 0.75)])
 def test_subdivision_converges_and_segments_add(level, eta):
     mesh = bumpy_sphere(level, 0.1)
     body, rays = Body(mesh, eta, *GREY), chords(mesh, 100, 7).take(slice(20))  # two at the critical angle
