@@ -92,7 +92,6 @@ REFUSED = {
     ),
     "medium": lambda make: make.scene(ball=make.ball(interior=MEDIA["heterogeneous"][0]())),
     "varies": lambda make: make.scene(ball=make.ball(interior=MEDIA["albedo varies"][0]())),
-    "twice": lambda make: make.scene(integrator={"type": "refscatter", "inside": {"type": "volpath"}}),
     "gradients": with_gradients,
 }
 """A scene for each entry."""
