@@ -59,10 +59,9 @@ ASKS = {
         "is_emitter",
         "pdf_emitter_direction",
         "ray_intersect",
-        "ray_test",
         "sample_emitter_direction",
     },
-    "transport/transmittance.py": {"ray_intersect_preliminary"},
+    "transport/transmittance.py": TRACING,
     "transport/visibility.py": TRACING,
 }
 """What modules of the renderer but ``scene/`` ask scenes, shapes and media of Mitsuba's for."""

@@ -336,12 +336,6 @@ def warnings_of(capfd, scene, **options):
     return TOLD.findall("".join(capfd.readouterr()))
 
 
-def board(y=0.0, size=0.02, reflectance=0.5):
-    """A small board that faces up."""
-    return {"type": "rectangle", "to_world": to(("translate", [0, y, 0]), ("rotate", [1, 0, 0], -90), ("scale", size)),
-            "bsdf": {"type": "diffuse", "reflectance": reflectance}}  # fmt: skip
-
-
 def test_each_warning_comes_once_per_render(capfd, monkeypatch):
     """In several passes, in one render after the other, and where another integrator calls ``sample``."""
     monkeypatch.setattr("mitsuba_refscatter.tolerances.PASS_SAMPLES", 1024)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import mitsuba as mi
 import numpy as np
 
-from ..integrators.hooks import Hooks
+from ..integrators.hooks import Hooks, takes_hooks
 
 METHODS = {
     "refscatter": {"type": "refscatter"},
@@ -100,5 +100,4 @@ def without_scattering(scene: mi.Scene) -> None:
 
 def quiet(integrator: mi.Integrator) -> dict:
     """Arguments of ``render`` that keep an integrator from warnings: those of this package take some."""
-    ours = type(integrator).__module__.startswith(__package__.partition(".")[0] + ".")
-    return {"hooks": Hooks(silent=True)} if ours else {}
+    return {"hooks": Hooks(silent=True)} if takes_hooks(integrator) else {}

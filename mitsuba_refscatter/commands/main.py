@@ -15,7 +15,7 @@ import typer
 from rich.table import Table
 
 from .. import example_scenes, image_io, platform
-from ..integrators.hooks import Hooks
+from ..integrators.hooks import Hooks, takes_hooks
 from ..scene import support
 from . import compare, console, measure
 from .console import (
@@ -44,12 +44,11 @@ app = typer.Typer(
 _OURS = ("RefscatterIntegrator[", "StraightIntegrator[", "PhotonIntegrator[")
 _WRAPPERS = ("AOVIntegrator", "MomentIntegrator")
 SEED = 0
-PACKAGE = "mitsuba_refscatter."
 
 
 def _is_ours(integrator) -> bool:
     """Whether a plugin of this package renders, by itself or as the child of ``aov`` or ``moment``."""
-    if type(integrator).__module__.startswith(PACKAGE):
+    if takes_hooks(integrator):
         return True
     return integrator is not None and integrator.class_name() in _WRAPPERS and any(x in str(integrator) for x in _OURS)
 
@@ -66,7 +65,7 @@ def _integrator(scene, say):
 
 def _render(scene, integrator, spp: int, quiet: bool):
     """Render and return the film's bitmap, all channels."""
-    sensor, ours = scene.sensors()[0], type(integrator).__module__.startswith(PACKAGE)
+    sensor, ours = scene.sensors()[0], takes_hooks(integrator)
     with progress("rendering", 1.0 if ours else None, quiet) as tell:
         # Not mi.render: it hides what an integrator raises, Ctrl-C included, behind its own error.
         told = {"hooks": Hooks(progress=tell)} if ours else {}

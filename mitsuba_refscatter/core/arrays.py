@@ -48,6 +48,16 @@ def concat(parts):
     return out
 
 
+def gather_record(record, index):
+    """A record of arrays at the lanes ``index`` (UInt32)."""
+    return type(record)(*(gather(x, index) for x in vars(record).values()))
+
+
+def concat_records(parts):
+    """All lanes of a list of records of arrays, as one record."""
+    return type(parts[0])(*(concat(x) for x in zip(*(vars(part).values() for part in parts))))
+
+
 def chosen(*masks):
     """For each of several tuples of masks (Bool) the indices (UInt32) of what is in them, all found in one kernel.
 

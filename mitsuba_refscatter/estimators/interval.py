@@ -51,7 +51,7 @@ class _End:
     path: mi.Float
 
     def gather(self, index):
-        return _End(*(arrays.gather(x, index) for x in vars(self).values()))
+        return arrays.gather_record(self, index)
 
 
 class Interval(Estimator):

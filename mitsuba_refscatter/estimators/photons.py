@@ -116,7 +116,7 @@ class Photons:
 
     def gather(self, index):
         """Those at ``index`` (UInt32)."""
-        return Photons(*(dr.gather(type(x), x, index) for x in vars(self).values()))
+        return arrays.gather_record(self, index)
 
 
 def shoot(target, count, illumination, intensity, sampler):
@@ -277,8 +277,3 @@ def _tree(records, count, radius):
 
 def _merge(a, b):
     return dr.minimum(a[0], b[0]), dr.maximum(a[1], b[1])
-
-
-def join(parts):
-    """Several ``Photons`` as one."""
-    return Photons(*(arrays.concat(x) for x in zip(*(vars(part).values() for part in parts))))

@@ -25,3 +25,8 @@ class Hooks:
     accuracy: dict = field(default_factory=dict)
     silent: bool = False
     counts: Counts = field(default_factory=Counts)
+
+
+def takes_hooks(integrator) -> bool:
+    """Whether an integrator (or None) takes ``Hooks``: those of this package do."""
+    return type(integrator).__module__.startswith(__package__.partition(".")[0] + ".")

@@ -41,8 +41,7 @@ def unresolved(counts, tolerance):
     if share <= tolerances.MOST_UNRESOLVED:
         return []
     return [
-        f"{share:.1%} of the camera samples are not known to the tolerance {tolerance:g}: their rays "
-        f"graze caustics, or triangles are "
-        'large for what they refract; the AOV "unresolved" shows where. Lower the tolerance or '
+        f"{share:.1%} of the camera samples are not known to the tolerance {tolerance:g}: their rays graze caustics, "
+        'or triangles are large for what they refract; the AOV "unresolved" shows where. Lower the tolerance or '
         "tessellate the boundary more finely"
     ]

@@ -101,7 +101,7 @@ class PhotonIntegrator(RefscatterIntegrator):
                 shot.append(found)
         if not shot:
             return None
-        found, lengths = photons.join([x[0] for x in shot]), arrays.concat([x[1] for x in shot])
+        found, lengths = arrays.concat_records([x[0] for x in shot]), arrays.concat([x[1] for x in shot])
         sigma_t = region.coefficients(media.visible(), found.omega)[1]
         radius = photons.radius_of(opt.radius or tolerances.PHOTON_RADIUS * body.size, number, opt.alpha, opt.mode)
         blur = photons.Blur(opt.mode == "beams", radius)

@@ -109,6 +109,3 @@ def prepare(scene, options, cache, seed, straight=False, changes=None):
         light_samples=options.light_samples, cache=cache, structures=Structures(records, cache, accuracy),
         sequence=Sequence(seed()) if drawn else None,
     )  # fmt: skip
-
-
-__all__ = ["Prepared", "prepare"]

@@ -13,7 +13,7 @@ from . import messages, single_scattering
 from .hooks import Hooks
 from .prepared import prepare
 from .render_pass import RenderPass
-from .surfaces import refuse_nested, seed_from
+from .surfaces import leave_out_nested, seed_from
 
 
 class RefscatterIntegrator(mi.SamplingIntegrator):
@@ -94,7 +94,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
         super().__init__(props)
         platform.require_usable(mi.variant())
         self.options = options.read(props, self.known)
-        refuse_nested(props)
+        leave_out_nested(props)
         self.surfaces = SurfaceLimits(self.options.max_depth, self.hide_emitters)
         self.cache, self.messages = Cache(), messages.Messages()
 

@@ -19,12 +19,11 @@ def shade(scene, paths, ray, limits, seed):
     seed    of random numbers
     """
     out, hit = dr.zeros(mi.Spectrum, dr.width(ray)), paths.hit
-    walk = SurfacePaths(scene, ray, limits)
     for i, legs in enumerate(paths.ends + paths.dropped):
         if len(legs) == 1:  # Dr.Jit takes the state of a loop over one lane for a constant
             legs = legs.gather(mi.UInt32(0, 0))
             legs.weight = legs.weight * 0.5
-        value, seen = walk.radiance(legs, i < len(paths.ends), seed + i)
+        value, seen = SurfacePaths(scene, ray, legs, limits).radiance(i < len(paths.ends), seed + i)
         dr.scatter_add(out, legs.weight * value, legs.sample)
         dr.scatter(hit, seen, legs.sample, legs.depth == 0)
         dr.eval(out, hit)
@@ -36,7 +35,7 @@ def seed_from(sampler):
     return int(sampler.next_1d()[0] * 2**31)
 
 
-def refuse_nested(props):
+def leave_out_nested(props):
     """Warns of nested integrators, which are left out; refuses nested objects that are none."""
     for name in props.keys():
         if props.type(name) == mi.Properties.Type.Object:

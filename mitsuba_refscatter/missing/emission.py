@@ -37,20 +37,19 @@ def offset(p):
 
 
 def points(scene, random):
-    """Pairs of an ``Emitter`` and its ``LightSample``, one or as many as ``random`` has lanes, of all emitters or
-    of some where they are many."""
+    """``LightSample`` of all emitters, or of some where they are many: one, or as many as ``random`` has lanes."""
     emitters = scene.emitters
     chosen = np.linspace(0, len(emitters) - 1, min(len(emitters), tolerances.MISSING_LIGHTS)).astype(int)
     for emitter in (emitters[i] for i in chosen):
         u = mi.Point2f(random.next_float32(), random.next_float32())
-        yield emitter, light_samples.draw(emitter, u, 1.0) if emitter.drawn else light_samples.exact(emitter)
+        yield light_samples.draw(emitter, u, 1.0) if emitter.drawn else light_samples.exact(emitter)
 
 
 def photons(scene):
     """``Photons`` of the lights."""
     each = tolerances.MISSING_PHOTONS // min(len(scene.emitters), tolerances.MISSING_LIGHTS)
     random, targets, found = mi.PCG32(size=each), _Targets(scene), []
-    for _, point in points(scene, random):
+    for point in points(scene, random):
         u = [random.next_float32() for _ in range(3)]
         weight, L = point.intensity(media.visible()), point.L + dr.zeros(type(point.L), each)
         if point.distant:
@@ -63,7 +62,7 @@ def photons(scene):
         sent = Photons(o, d, _region(scene, o, d), dr.select(dr.isfinite(weight), weight, 0))
         dr.eval(sent)
         found.append(sent)
-    return Photons(*(arrays.concat(x) for x in zip(*(vars(sent).values() for sent in found))))
+    return arrays.concat_records(found)
 
 
 def _region(scene, o, d):

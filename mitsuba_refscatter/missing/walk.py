@@ -1,4 +1,4 @@
-"""The way of photons: through boundaries by Fresnel's choice, through media, off surfaces"""
+"""The way of photons: through boundaries by Fresnel's choice, through media, off surfaces."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Met(Hit):
 def meet(scene, o, d, active):
     """``Met`` of rays (world)."""
     hit, ray = crossing.trace(scene, o, d, active), mi.Ray3f(o, d)
-    boundary = hit.valid & hit.boundary
+    boundary = hit.boundary
     plain, at = mi.Normal3f(0), mi.Point3f(0)
     if scene.others:  # else kernels hold no shapes' code
         si = hit.pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit.valid & ~boundary)
@@ -48,8 +48,7 @@ def meet(scene, o, d, active):
     on = dr.gather(mi.Point3f, scene.centre, hit.target, boundary) + hit.tri.position(*hit.uv)
     number, instance = (dr.reinterpret_array(mi.UInt32, x) for x in (hit.pi.shape, hit.pi.instance))
     number = dr.select(instance != 0, instance, number)
-    found = {**vars(hit), "boundary": boundary}
-    return Met(**found, shape=number, **dict(zip(("Ng", "n"), normals)), p=mi.Point3f(dr.select(boundary, on, at)))
+    return Met(**vars(hit), shape=number, **dict(zip(("Ng", "n"), normals)), p=mi.Point3f(dr.select(boundary, on, at)))
 
 
 class Tables:

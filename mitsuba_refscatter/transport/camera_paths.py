@@ -21,6 +21,7 @@ from ..scene import Scene
 from . import crossing
 from .camera_refusals import refuse_other_medium, refuse_overlaps
 from .segments import CameraSegments
+from .transmittance import Transmittance
 
 
 @dataclass
@@ -50,12 +51,7 @@ class Legs:
 
     def gather(self, index):
         """Those at ``index`` (UInt32)."""
-        return Legs(*(dr.gather(type(x), x, index) for x in vars(self).values()))
-
-    @classmethod
-    def concat(cls, parts):
-        """All legs of a list of them."""
-        return cls(*(arrays.concat(x) for x in zip(*(vars(part).values() for part in parts))))
+        return arrays.gather_record(self, index)
 
     def __len__(self):
         return dr.width(self.sample)
@@ -101,16 +97,20 @@ class Limits:
 @dataclass
 class _Walk:
     """One step of following camera rays: the ``scene``, the camera's ``ray``, the ``limits``, the ``paths`` found
-    so far, whether it is the ``first`` step, and whether legs that leave a body may bring something, if only by
-    entering one ``again``."""
+    so far, whether legs that leave a body may bring something, if only by entering one ``again``, and its number
+    among the steps."""
 
     scene: Scene
     ray: mi.Ray3f
     limits: Limits
     paths: Paths
     again: bool
-    first: bool = True
     step: int = 0
+
+    @property
+    def first(self):
+        """Whether the camera's own rays are followed."""
+        return self.step == 0
 
     def counted(self, counts):
         """1 where a hit counts towards the number of hits from outside, which the first one never does; else 0."""
@@ -141,7 +141,7 @@ def trace(scene, ray, active, start, limits):
     walk = _Walk(scene, ray, limits, paths, _may_enter_again(scene, limits))
     while len(legs) > 0:
         legs = _advance(walk, legs)
-        walk.first, walk.step = False, walk.step + 1
+        walk.step += 1
     return paths
 
 
@@ -165,30 +165,22 @@ def _advance(walk, legs):
         refuse_other_medium(scene, legs, hit, elsewhere)
     after = _make_up(scene, legs, hit, elsewhere)
     length = dr.select(hit.valid, hit.pi.t, tolerances.ENDLESS)
-    arriving = replace(legs, weight=legs.weight * after * _left(walk, legs, length))
+    transmittance = Transmittance(scene, arrays.of(walk.ray.wavelengths, legs.sample))
+    left = transmittance.along(legs.d, legs.region, length)
+    arriving = replace(legs, weight=legs.weight * after * left)
     dr.eval(arriving, legs.weight, legs.region)
 
     _record(walk, legs, hit.valid, length)
     if walk.limits.surfaces:
         # Mirrors that the chain does not follow are surfaces like others.
-        followed = hit.boundary | (mirror & _counts(walk, arriving))
+        followed = hit.boundary | (mirror & (_entries_at_mirror(walk, arriving) <= walk.limits.internal_bounces))
         ends = dr.compress(dr.select(hit.valid, ~followed, dr.max(arriving.weight) > 0))
         if dr.width(ends) > 0:
             paths.ends.append(arriving.gather(ends))
     on = _split(walk, arriving, hit)
     if scene.mirrors is not None:
         on += _reflected(walk, arriving, hit.pi, mirror)
-    return Legs.concat(on) if on else legs.gather(dr.zeros(mi.UInt32, 0))
-
-
-def _left(walk, legs, length):
-    """What media leave of light along legs (Spectrum)."""
-    sigma_t, within = mi.Spectrum(0), legs.region != NONE
-    wavelengths = arrays.of(walk.ray.wavelengths, legs.sample)
-    for region in walk.scene.regions:
-        if region.medium is not None:
-            sigma_t = dr.select(legs.region == region.index, region.coefficients(wavelengths, legs.d)[1], sigma_t)
-    return dr.exp(-sigma_t * dr.select(within, length, 0))
+    return arrays.concat_records(on) if on else legs.gather(dr.zeros(mi.UInt32, 0))
 
 
 def _meet(scene, legs, first):
@@ -291,17 +283,18 @@ def _drop(walk, legs, importance, dropped, number):
         walk.paths.dropped.append(some)
 
 
-def _counts(walk, legs):
-    """Which legs the chain follows behind a mirror."""
-    return legs.entries + mi.UInt32(0 if walk.first else 1) <= walk.limits.internal_bounces
+def _entries_at_mirror(walk, legs):
+    """Numbers of hits from outside (UInt32) of legs that meet a mirror, that one included."""
+    return legs.entries + walk.counted(True)
 
 
 def _reflected(walk, legs, pi, mirror):
     """The legs behind a hit with a mirror; a list of at most one ``Legs``."""
-    met = dr.compress(mirror & _counts(walk, legs))
+    entries = _entries_at_mirror(walk, legs)
+    met = dr.compress(mirror & (entries <= walk.limits.internal_bounces))
     if dr.width(met) == 0:
         return []
-    legs, pi = legs.gather(met), dr.gather(type(pi), pi, met)
+    legs, entries, pi = legs.gather(met), arrays.gather(entries, met), dr.gather(type(pi), pi, met)
     ray = mi.Ray3f(legs.o, legs.d)
     ray.time = arrays.of(walk.ray.time, legs.sample)
     origin, d, value = crossing.mirrored(walk.scene, pi, ray, arrays.of(walk.ray.wavelengths, legs.sample))
@@ -310,7 +303,7 @@ def _reflected(walk, legs, pi, mirror):
         o=origin,
         d=d,
         weight=legs.weight * value,
-        entries=legs.entries + mi.UInt32(0 if walk.first else 1),
+        entries=entries,
         depth=legs.depth + mi.UInt32(1),
         back=dr.zeros(mi.Vector3f, dr.width(d)),
     )

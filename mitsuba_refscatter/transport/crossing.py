@@ -42,7 +42,7 @@ class Hit:
     def of(cls, scene, d, pi, active=True):
         """``Hit`` of rays along ``d`` (Vector3f, unit) that Mitsuba's intersection ``pi`` is of."""
         valid, target = pi.is_valid() & active, scene.find(pi.shape)
-        boundary = target != NONE if active is True else valid & (target != NONE)
+        boundary = (target != NONE) & active
         first = dr.gather(mi.UInt32, scene.first_record, target, boundary)
         tri = triangle.gather(scene.records, dr.select(boundary, first + pi.prim_index, 0), boundary)
         leaving = boundary & (dr.dot(d, tri.Ng) > 0)

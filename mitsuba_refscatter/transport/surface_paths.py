@@ -14,7 +14,6 @@ import mitsuba as mi
 
 from .. import tolerances
 from ..core import arrays
-from ..core.arrays import NONE
 from ..scene import Scene
 from .camera_paths import Legs
 from .crossing import Hit
@@ -70,25 +69,24 @@ class _Path:
 
 
 class SurfacePaths:
-    """Paths in a scene. ``ray``: the camera's, whose times and wavelengths count."""
+    """Paths that go on from legs in a scene. ``ray``: the camera's, whose times and wavelengths count."""
 
-    def __init__(self, scene: Scene, ray, limits: SurfaceLimits):
-        self.scene, self.ray, self.limits = scene, ray, limits
-        most = (1 << 30) if limits.max_depth < 0 else limits.max_depth
-        self.max_depth = dr.opaque(mi.UInt32, most)
+    def __init__(self, scene: Scene, ray, legs: Legs, limits: SurfaceLimits):
+        self.scene, self.legs, self.limits = scene, legs, limits
+        self.max_depth = dr.opaque(mi.UInt32, (1 << 30) if limits.max_depth < 0 else limits.max_depth)
+        self.time, self.wavelengths = (arrays.of(x, legs.sample) for x in (ray.time, ray.wavelengths))
+        self.transmittance = Transmittance(scene, self.wavelengths, unbent=True)
 
-    def radiance(self, legs: Legs, arrived, seed):
-        """Radiance (Spectrum) that arrives along legs, without their weights, and whether they meet anything that
+    def radiance(self, arrived, seed):
+        """Radiance (Spectrum) that arrives along the legs, without their weights, and whether they meet anything that
         is seen (Bool).
 
         arrived  whether the weights hold already what media take on the way to what legs meet first
         seed     of random numbers
         """
+        legs = self.legs
         n = len(legs)
-        self.time = arrays.of(self.ray.time, legs.sample)
-        self.wavelengths = arrays.of(self.ray.wavelengths, legs.sample)
-        self.transmittance = Transmittance(self.scene, self.wavelengths, unbent=True)
-        o = self._past_emitters(legs) if self.limits.hide_emitters else legs.o
+        o = self._past_emitters() if self.limits.hide_emitters else legs.o
         path = _Path(
             o=mi.Point3f(o),
             d=mi.Vector3f(legs.d),
@@ -119,7 +117,7 @@ class SurfacePaths:
         hit = self._hit(path, pi)
         region = path.region if hit is None else dr.select(hit.boundary, hit.near, path.region)
         length = dr.select(si.is_valid(), si.t, tolerances.ENDLESS)
-        throughput = path.throughput * dr.select(path.arrived, 1, self._left(path.d, region, length))
+        throughput = path.throughput * dr.select(path.arrived, 1, self.transmittance.along(path.d, region, length))
 
         emitter = si.emitter(scene, path.active)
         visible = path.active & (path.depth < self.max_depth) & (emitter != None)  # noqa: E711 - lane by lane
@@ -158,7 +156,7 @@ class SurfacePaths:
             throughput=throughput,
             radiance=radiance,
             depth=depth,
-            arrived=dr.full(mi.Bool, False, 1) & path.active,
+            arrived=mi.Bool(False),
             delta=dr.select(vertex, unseen | mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta), path.delta),
             pdf=dr.select(vertex, sample.pdf, path.pdf),
             last=mi.Point3f(dr.select(vertex, si.p, path.last)),
@@ -177,18 +175,6 @@ class SurfacePaths:
         """``Hit``, where regions matter."""
         return Hit.of(self.scene, path.d, pi, path.active) if self.scene.regions else None
 
-    def _left(self, d, region, length):
-        """What media leave of light on legs (Spectrum)."""
-        if not any(one.medium is not None for one in self.scene.regions):
-            return mi.Spectrum(1)
-        sigma_t = mi.Spectrum(0)
-        for one in self.scene.regions:
-            if one.medium is not None:
-                along = one.coefficients(self.wavelengths, d)[1]
-                sigma_t = dr.select(region == one.index, along, sigma_t)
-        within = region != NONE
-        return dr.exp(-sigma_t * dr.select(within, length, 0))
-
     def _weight_of_met(self, path, si, active):
         """The balance heuristic for emitters that are met."""
         last = dr.zeros(mi.SurfaceInteraction3f, dr.width(path.last))
@@ -206,26 +192,16 @@ class SurfacePaths:
         if any(region.reach is not None for region in self.scene.regions):  # media without end
             endless = mi.has_flag(there.emitter.flags(), mi.EmitterFlags.Infinite)
             distance = dr.select(endless, tolerances.ENDLESS, distance)
-        return there, weight * self._left_on_the_way(ray, distance, region, active)
-
-    def _left_on_the_way(self, ray, distance, region, active):
-        """What is left (Spectrum) of light that comes along a ray, from as far as ``distance``; 0 where anything is
-        in the way."""
-        if self.scene.straight is not None:
-            return self.transmittance.follow(ray.o, ray.d, distance, region, active)[0]
-        ray = self._ray(ray.o, ray.d)
-        ray.maxt = distance
-        free = ~self.scene.mi_scene.ray_test(ray, active)
-        return dr.select(free, self._left(ray.d, region, distance), 0)
+        return there, weight * self.transmittance.follow(ray.o, ray.d, distance, region, active)[0]
 
     def _is_seen(self, si):
         """Whether what rays meet first is there for the alpha channel."""
         sky = self.scene.mi_scene.environment() is not None and not self.limits.hide_emitters
         return si.is_valid() | mi.Bool(sky)
 
-    def _past_emitters(self, legs):
-        """Origins of legs beyond the emitters that the camera sees first."""
-        scene = self.scene.mi_scene
+    def _past_emitters(self):
+        """Origins of the legs beyond the emitters that the camera sees first."""
+        scene, legs = self.scene.mi_scene, self.legs
 
         def step(o, active):
             ray = self._ray(o, legs.d)

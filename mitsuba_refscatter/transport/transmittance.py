@@ -37,6 +37,20 @@ class Transmittance:
         """Those of the camera segments ``segment`` (indices)."""
         return replace(self, wavelengths=arrays.of(self.wavelengths, segment))
 
+    def along(self, d, region, length):
+        """What media leave (Spectrum) of light on lines that stay in a region.
+
+        d       Vector3f, unit
+        region  UInt32, or NONE
+        length  Float, or ``tolerances.ENDLESS``
+        """
+        return dr.exp(-_of(self._extinctions(d), region) * length)
+
+    def _extinctions(self, d):
+        """Indices of the regions with media, and the extinction (Spectrum, 1/length) along ``d`` in each."""
+        filled = [one for one in self.scene.regions if one.medium is not None]
+        return [(one.index, one.coefficients(self.wavelengths, d)[1]) for one in filled]
+
     def follow(self, start, direction, distance, region, active=True):
         """From points ``start`` (world) in ``region`` (an index) to what is ``distance`` away (or
         ``tolerances.ENDLESS``).
@@ -44,22 +58,21 @@ class Transmittance:
         Returns what is left of light on the way (Spectrum), and how many boundaries it crosses, or BLOCKED.
         """
         scene, n = self.scene, dr.width(direction)
-        sigmas = [
-            (r.index, r.coefficients(self.wavelengths, direction)[1]) for r in scene.regions if r.medium is not None
-        ]
+        if scene.straight is None:  # then whatever is met is in the way
+            ray = mi.Ray3f(start, direction)
+            ray.maxt = distance
+            free = ~scene.mi_scene.ray_test(ray, active)
+            left = dr.select(free, self.along(direction, region, distance), 0)
+            return left, dr.select(free, mi.UInt32(0), BLOCKED)
+        extinctions = self._extinctions(direction)
 
         def step(o, left, region, value, crossed, active):
             ray = mi.Ray3f(o, direction)
             ray.maxt = left
             pi = scene.mi_scene.ray_intersect_preliminary(ray, active=active)
-            hit, passes, count = active & pi.is_valid(), mi.Bool(False), mi.UInt32(0)
-            ahead, factor, behind = pi.t, mi.Spectrum(0), region
-            if scene.straight is not None:
-                count, region, ahead, factor, behind = self._cross(direction, region, pi, hit, crossed)
-                passes = count > 0
-            sigma_t = mi.Spectrum(0)
-            for index, sigma in sigmas:
-                sigma_t = dr.select(region == index, sigma, sigma_t)
+            hit = active & pi.is_valid()
+            count, region, ahead, factor, behind = self._cross(direction, region, pi, hit, crossed)
+            passes, sigma_t = count > 0, _of(extinctions, region)
             value = dr.select(active, value * dr.exp(-sigma_t * dr.select(hit, pi.t, left)), value)
             value = dr.select(hit, value * factor, value)
             crossed = dr.select(hit, dr.select(passes, crossed + count, BLOCKED), crossed)
@@ -102,3 +115,11 @@ class Transmittance:
             dr.select(passes, factor, 0),
             behind,
         )
+
+
+def _of(extinctions, region):
+    """The extinction (Spectrum) in regions (UInt32)."""
+    sigma_t = mi.Spectrum(0)
+    for index, sigma in extinctions:
+        sigma_t = dr.select(region == index, sigma, sigma_t)
+    return sigma_t
