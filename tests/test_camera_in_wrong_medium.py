@@ -42,7 +42,7 @@ def follow(scene, o, d, medium=None):
     found = read(scene, 0.01, Cache())
     ray = mi.Ray3f(*(kind(np.asarray(x, np.float32).T) for kind, x in ((mi.Point3f, o), (mi.Vector3f, d))))
     paths = camera_paths.trace(
-        found, ray, True, region_of_camera(found, medium, o[0]), camera_paths.Limits(1, False, 0.0)
+        found, ray, True, region_of_camera(found, medium, o[0]), camera_paths.ChainLimits(1, False, 0.0)
     )
     found = [np.array(part.weight) * np.array(part.length) for parts in paths.parts for part in parts]
     return float(sum(x.sum() for x in found))

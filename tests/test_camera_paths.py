@@ -49,7 +49,7 @@ def scene(bodies, folder, **properties):
 
 def trace(scene, o, d, internal_bounces, surfaces=False, min_weight=0.0):
     ray = mi.Ray3f(mi.Point3f(o.astype(np.float32).T), mi.Vector3f(d.astype(np.float32).T))
-    return camera_paths.trace(scene, ray, True, NONE, camera_paths.Limits(internal_bounces, surfaces, min_weight))
+    return camera_paths.trace(scene, ray, True, NONE, camera_paths.ChainLimits(internal_bounces, surfaces, min_weight))
 
 
 def segments(paths):
@@ -209,9 +209,9 @@ def test_rays_that_are_not_active_are_left_out(rgb, tmp_path):
     found, (o, d) = scene(bodies("convex"), tmp_path), build.rays_at(CAMERA, 0.9, 40, seed=6)
     ray = mi.Ray3f(mi.Point3f(o.astype(np.float32).T), mi.Vector3f(d.astype(np.float32).T))
     odd = dr.arange(mi.UInt32, 40) % 2 == 1
-    some = camera_paths.trace(found, ray, odd, NONE, camera_paths.Limits(2, True, 0.0))
+    some = camera_paths.trace(found, ray, odd, NONE, camera_paths.ChainLimits(2, True, 0.0))
     assert set(segments(some).ray % 2) == {1} and not some.hit.numpy()[::2].any() and some.hit.numpy()[1::2].all()
-    none = camera_paths.trace(found, ray, mi.Bool(False), NONE, camera_paths.Limits(2, True, 0.0))
+    none = camera_paths.trace(found, ray, mi.Bool(False), NONE, camera_paths.ChainLimits(2, True, 0.0))
     assert not any(none.parts) and not none.ends
 
 

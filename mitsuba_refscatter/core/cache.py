@@ -43,7 +43,7 @@ class BodyKey:
     has      which normals Mitsuba's mesh has, and whether it is flipped
     mesh     fingerprint of its buffers
     flipped  whether ``Body.flipped`` made the body
-    reach    length to which ``Body.reaches`` limits its light, in units of the scene; 0 where it does not
+    visible_range  length to which ``Body.extended`` limits its light, in units of the scene; 0 where it does not
     patches  digest of those that stand for the triangles
     """
 
@@ -52,7 +52,7 @@ class BodyKey:
     has: tuple[bool, ...]
     mesh: tuple[int, ...]
     flipped: bool = False
-    reach: float = 0.0
+    visible_range: float = 0.0
     patches: bytes = b""
 
 
@@ -118,7 +118,7 @@ class BeamsKey:
     geometry      ``Scene.geometry``, for shadows
     distant       as ``optics.LocalLight`` has it
     L             three numbers, the same; the light lies on no shape
-    lit           whether rays test what is lit
+    tests_lit     whether rays test what is lit
     accuracy      what the option ``tolerance`` selects
     """
 
@@ -128,7 +128,7 @@ class BeamsKey:
     geometry: tuple
     distant: bool
     L: tuple[float, ...]
-    lit: bool
+    tests_lit: bool
     accuracy: Accuracy
 
 

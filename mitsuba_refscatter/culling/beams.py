@@ -56,7 +56,7 @@ class Beams(Culling):
             return build(body, shadows, structures)
         key = BeamsKey(
             body=body.key, records=structures.records_key(body), first_record=body.first_record, geometry=geometry,
-            distant=light.distant, L=tuple(np.array(light.L).ravel().tolist()), lit=shadows.lit is not None,
+            distant=light.distant, L=tuple(np.array(light.L).ravel().tolist()), tests_lit=shadows.lit is not None,
             accuracy=structures.accuracy,
         )  # fmt: skip
         return structures.cache.once(lambda: build(body, shadows, structures), key)

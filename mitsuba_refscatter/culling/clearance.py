@@ -14,7 +14,7 @@ import mitsuba as mi
 
 from .. import tolerances
 from ..geometry import bvh
-from ..geometry.surface import Surface
+from ..geometry.surface_tree import SurfaceTree
 from . import beam
 
 NODE = 12
@@ -88,7 +88,7 @@ class Clearance:
     """
 
     def __init__(self, records, first_record, corners):
-        self.surface = Surface(records, first_record, corners, lambda tri: [tri.Ng], _pack, NODE)
+        self.surface = SurfaceTree(records, first_record, corners, lambda tri: [tri.Ng], _pack, NODE)
 
     def clear(self, tri, piece):
         """Length to which beams (``beam.Piece``) of triangles are certainly free, as the numbers of ``pairs.Reach``."""

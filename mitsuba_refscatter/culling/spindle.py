@@ -20,7 +20,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import optics, tolerances
-from ..geometry.surface import Surface
+from ..geometry.surface_tree import SurfaceTree
 from ..transport.segments import LocalSegments
 from . import beam as light_beam
 from .pairs import Taken
@@ -43,7 +43,7 @@ class Spindle(Culling):
     most_levels = tolerances.MOST_LEVELS
 
     def __init__(self, body, records):
-        self.surface = Surface(
+        self.surface = SurfaceTree(
             records, body.first_record, body.corners - body.centre, lambda tri: tri.corner_normals(), _pack, NODE
         )
         self.tree, self.eta_above_1 = self.surface.tree, body.eta >= 1

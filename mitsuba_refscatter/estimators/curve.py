@@ -213,7 +213,7 @@ def _accumulate(sums, pair, accuracy, shadow):
     cut, scale = cutting.needed, chord.scale * width
     total, contributes, is_open = mi.Spectrum(0), mi.Bool(False), mi.Bool(False)
     resolved = chord.nonlinearity <= dr.opaque(mi.Float, accuracy.linear)
-    points = accuracy.guest_points if illumination.guests else accuracy.points
+    points = accuracy.guest_points if illumination.inner_objects else accuracy.points
     for tau, weight in zip(*gauss_legendre(points)):
         tau = part.start + tau * (part.end - part.start)
         point, inverse_slope, solved = solve(pair, chord, chord.direction(tau), newton)

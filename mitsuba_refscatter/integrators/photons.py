@@ -133,7 +133,7 @@ def _shoot(prepared, region, body, emitter, shot):
     illumination = prepared.illumination(body, region, point, shadows, media.visible())
     tint = body.tint("specular_transmittance", media.visible())
     found = photons.shoot(target, count, illumination, point.intensity(media.visible()) * tint, sampler)
-    return None if found is None else (found, shadows.reach(found.P, found.Ng, found.omega, region.reach))
+    return None if found is None else (found, shadows.reach(found.P, found.Ng, found.omega, region.visible_range))
 
 
 def _sampler(count, rng):

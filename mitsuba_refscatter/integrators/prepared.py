@@ -68,7 +68,7 @@ class Prepared:
         """``visibility.Shadows`` of a ``LightSample`` at a boundary."""
         return shadows(self.scene, body, self.structures.records(body), sample, self.accuracy.samples_visibility)
 
-    def lit(self, body, sample, emitter):
+    def culled(self, body, sample, emitter):
         """``(Shadows, Culling)`` of a ``LightSample`` of an ``Emitter`` at a boundary; the culling is None if
         nothing is lit. Made once per render where the emitter is one point or direction."""
 
@@ -76,11 +76,11 @@ class Prepared:
             found = self.shadows(body, sample)
             return found, self.culling.of(body, found, self.structures, emitter.drawn)
 
-        return make() if emitter.drawn else self.once(make, "lit", body.index, body.key, emitter.index)
+        return make() if emitter.drawn else self.once(make, "culled", body.index, body.key, emitter.index)
 
     def illuminated(self, body, region, sample, emitter, wavelengths=None):
         """``(Illumination, Culling)`` of a ``LightSample`` of an ``Emitter`` at a boundary of a region."""
-        found, culling = self.lit(body, sample, emitter)
+        found, culling = self.culled(body, sample, emitter)
         return self.illumination(body, region, sample, found, wavelengths), culling
 
     def illumination(self, body, region, sample, shadows, wavelengths=None) -> Illumination:

@@ -87,7 +87,7 @@ class RenderPass:
         prepared, opt = self.prepared, self.options
         start = prepared.once(lambda: region_of_camera(prepared.scene, self.medium, _ends(ray)[0][0]), "start")
         seed = seed_from(sampler) if opt.surfaces else 0
-        limits = camera_paths.Limits(opt.internal_bounces, opt.surfaces, prepared.accuracy.weight, seed)
+        limits = camera_paths.ChainLimits(opt.internal_bounces, opt.surfaces, prepared.accuracy.weight, seed)
         return camera_paths.trace(prepared.scene, ray, active, start, limits)
 
     def _warn_of_missing_light(self, ray):

@@ -72,10 +72,10 @@ def scatter(prepared, paths, samples, counts, refracted=True):
     return single.first(n)
 
 
-def _refracted(prepared, region, share, lit, single, run):
-    """Adds light that comes in through the region's refracting boundaries. ``lit``: segments, their light samples
+def _refracted(prepared, region, share, taken, single, run):
+    """Adds light that comes in through the region's refracting boundaries. ``taken``: segments, their light samples
     and the intensities of these. Returns the ``Counts`` of the work."""
-    segments, sample, value = lit
+    segments, sample, value = taken
     sigma_s, sigma_t = region.coefficients(segments.wavelengths, segments.direction)
     counts = wavefront.Counts()
     for boundary in region.boundaries:
@@ -116,12 +116,12 @@ def _straight(prepared, region, segments, sample, value, single):
         return transmittance.follow(mi.Point3f(V) + centre, direction, length, start, active)
 
     free = dr.width(sample.L) == 1 and not region.admits and _nothing_between(scene, region)
-    lit = unrefracted.Unrefracted(
+    light = unrefracted.Unrefracted(
         light=sample.local(centre), emission=sample.emission(centre, segments.wavelengths), phase=region.phase,
         directed=region.directed, way=None if free else way,
     )  # fmt: skip
     angles = 0 if sample.distant else prepared.angle_panels(region)
-    total = unrefracted.scatter(segments.off_boundary(at, sigma_t), lit, prepared.accuracy, angles)
+    total = unrefracted.scatter(segments.off_boundary(at, sigma_t), light, prepared.accuracy, angles)
     dr.scatter_add(single.value, segments.weight * sigma_s * value * total, segments.sample)
     single.eval()
 

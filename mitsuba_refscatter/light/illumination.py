@@ -13,7 +13,7 @@ from ..core import arrays
 from ..scene.boundaries import Body
 from ..transport.transmittance import Transmittance
 from ..transport.visibility import Shadows
-from .light_samples import Cosine, Profile
+from .light_samples import Cosine, IntensityProfile
 
 
 @dataclass
@@ -29,16 +29,16 @@ class Illumination(optics.Incidence):
     emission  (P, omega_L, d_L): what arrives at P relative to a light that sends the same into all directions, or
               None for such a light; ``emission.at(segment)``: that of camera segments
     directed  extinction (omega, d) along omega relative to that along d, or None where it is the same
-    guests    whether other objects may throw shadows inside
+    inner_objects    whether other objects may throw shadows inside
     """
 
     side: int
     phase: Callable
     lit: Callable | None
     inside: Callable | None
-    emission: Cosine | Profile | Arrival | None = None
+    emission: Cosine | IntensityProfile | Arrival | None = None
     directed: Callable | None = None
-    guests: bool = False
+    inner_objects: bool = False
 
     def at(self, segment):
         """The illumination of camera segments (indices)."""
@@ -109,7 +109,7 @@ class Arrival:
     boundary       the ``Body``
     """
 
-    inner: Cosine | Profile | None
+    inner: Cosine | IntensityProfile | None
     light: optics.LocalLight
     transmittance: Transmittance
     boundary: Body
@@ -156,7 +156,7 @@ def illuminate(scene, body, region, sample, shadows, wavelengths=None):
         inside=shadows.inside,
         emission=emission,
         directed=region.directed,
-        guests=shadows.guests,
+        inner_objects=shadows.inner_objects,
     )
 
 

@@ -56,7 +56,7 @@ class LightSample:
         """What it sends to points (relative to ``centre``) by direction; None if it is the same everywhere."""
         if self.normal is not None:
             return Cosine(self.normal)
-        return None if self.profile is None else Profile(self.profile, centre, wavelengths)
+        return None if self.profile is None else IntensityProfile(self.profile, centre, wavelengths)
 
 
 @dataclass
@@ -77,7 +77,7 @@ class Cosine:
 
 
 @dataclass
-class Profile:
+class IntensityProfile:
     """The intensity that an emitter at one point sends to points, by Mitsuba's own evaluation: spots, projectors."""
 
     mi_emitter: mi.Emitter
@@ -88,7 +88,7 @@ class Profile:
 
     def at(self, segment):
         """That for the camera segments ``segment`` (indices)."""
-        return Profile(self.mi_emitter, self.centre, arrays.of(self.wavelengths, segment))
+        return IntensityProfile(self.mi_emitter, self.centre, arrays.of(self.wavelengths, segment))
 
     def __call__(self, P, _omega_L, d_L):
         _, value = sample_direction(self.mi_emitter, mi.Point3f(P) + self.centre, self.wavelengths, mi.Point2f(0.5))

@@ -1,4 +1,4 @@
-"""Photons that leave the lights, sent to bodies and everywhere."""
+"""EmittedPhotons that leave the lights, sent to bodies and everywhere."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from .walk import meet
 
 
 @dataclass
-class Photons:
-    """Photons where they start.
+class EmittedPhotons:
+    """EmittedPhotons where they start.
 
     o       Point3f, world
     d       Vector3f, unit
@@ -46,7 +46,7 @@ def points(scene, random):
 
 
 def photons(scene):
-    """``Photons`` of the lights."""
+    """``EmittedPhotons`` of the lights."""
     each = tolerances.MISSING_PHOTONS // min(len(scene.emitters), tolerances.MISSING_LIGHTS)
     random, targets, found = mi.PCG32(size=each), _Targets(scene), []
     for point in points(scene, random):
@@ -59,7 +59,7 @@ def photons(scene):
             o, emission = L + d * offset(L), point.emission(mi.Point3f(0), media.visible())
             weight = weight if emission is None else weight * emission(L + d, -d, mi.Float(1))
         weight = mi.Spectrum(weight / density) + dr.zeros(mi.Spectrum, each)
-        sent = Photons(o, d, _region(scene, o, d), dr.select(dr.isfinite(weight), weight, 0))
+        sent = EmittedPhotons(o, d, _region(scene, o, d), dr.select(dr.isfinite(weight), weight, 0))
         dr.eval(sent)
         found.append(sent)
     return arrays.concat_records(found)

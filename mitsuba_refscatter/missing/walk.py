@@ -59,8 +59,8 @@ class Tables:
         none = [np.zeros(self.size)] * 2
         every = [none if region.medium is None else _coefficients(region) for region in scene.regions] + [none]
         self.sigma_s, self.sigma_t = (arrays.array(mi.Float, np.concatenate(x)) for x in zip(*every))
-        self.reach = arrays.array(
-            mi.Float, [region.reach or tolerances.ENDLESS for region in scene.regions] + [tolerances.ENDLESS]
+        self.visible_range = arrays.array(
+            mi.Float, [region.visible_range or tolerances.ENDLESS for region in scene.regions] + [tolerances.ENDLESS]
         )
         self.last = dr.opaque(mi.UInt32, len(scene.regions))
         kinds = [body.kind for body in scene.bodies] or [""]
@@ -68,13 +68,13 @@ class Tables:
         self.mirror = scene.mirrors if scene.mirrors is not None else dr.zeros(mi.Float, dr.width(scene.body_of_shape))
 
     def of(self, region):
-        """Index, sigma_s, sigma_t and reach of regions."""
+        """Index, sigma_s, sigma_t and visible_range of regions."""
         index = dr.minimum(region, self.last)
         s, t = (
             mi.Spectrum(*(dr.gather(mi.Float, x, index * self.size + k) for k in range(self.size)))
             for x in (self.sigma_s, self.sigma_t)
         )
-        return index, s, t, dr.gather(mi.Float, self.reach, index)
+        return index, s, t, dr.gather(mi.Float, self.visible_range, index)
 
 
 def _coefficients(region):
@@ -151,8 +151,8 @@ def _leg(state, scene, tables, albedo, leave):
     met = meet(scene, state.o, state.d, state.active)
     # Where faces touch, the one that is met tells the region better than the one that was left.
     here = dr.select(met.boundary, met.near, state.region)
-    index, sigma_s, sigma_t, reach = tables.of(here)
-    length = dr.minimum(dr.select(met.valid, met.pi.t, tolerances.ENDLESS), reach)
+    index, sigma_s, sigma_t, visible_range = tables.of(here)
+    length = dr.minimum(dr.select(met.valid, met.pi.t, tolerances.ENDLESS), visible_range)
     left = dr.exp(-sigma_t * length)
     leave(state, index, dr.mean(state.weight * sigma_s / dr.maximum(sigma_t, 1e-30) * (1 - left)))
 

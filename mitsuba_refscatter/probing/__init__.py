@@ -64,7 +64,7 @@ def probe(
         ends = [_numbers(x) for x in (ray.o, ray.d)]
         messages.Messages().warn(messages.lights_at_the_camera(prepared.scene, ends))
         start = region_of_camera(prepared.scene, film_sensor.get_medium(), ends[0][0])
-        limits = camera_paths.Limits(internal_bounces, False, prepared.accuracy.weight)
+        limits = camera_paths.ChainLimits(internal_bounces, False, prepared.accuracy.weight)
         paths = camera_paths.trace(prepared.scene, ray, True, start, limits)
         segments, places = _segments(prepared.scene, paths)
         if not segments:

@@ -104,12 +104,12 @@ class Body:
         si.wavelengths = wavelengths
         return self.tints[what].eval(si)
 
-    def reaches(self, reach):
-        """The same where light goes on for the distance ``reach`` behind it."""
+    def extended(self, length):
+        """The same where light goes on for the distance ``length`` behind it."""
         low, high = (np.array(x) for x in (self.box_low, self.box_high))
-        size = min(self.size + reach, tolerances.REACH_SIZE * self.size)
-        return replace(self, box_low=(low - reach).tolist(), box_high=(high + reach).tolist(), size=size,
-                       key=replace(self.key, reach=reach))  # fmt: skip
+        size = min(self.size + length, tolerances.REACH_SIZE * self.size)
+        return replace(self, box_low=(low - length).tolist(), box_high=(high + length).tolist(), size=size,
+                       key=replace(self.key, visible_range=length))  # fmt: skip
 
     def flipped(self, first_record):
         """The same boundary seen from its other side: light from the inside, refracted to the outside. Its

@@ -160,12 +160,12 @@ def _boundaries(bodies, passed, regions, emitters):
                     region.admits = True
             continue
         if inside is not None and inside.scatters:
-            inside.boundaries.append(body if inside.reach is None else body.reaches(inside.reach))
+            inside.boundaries.append(body if inside.visible_range is None else body.extended(inside.visible_range))
         if outside is not None and outside.scatters and any(_may_be_inside(emitter, body) for emitter in emitters):
             other = body.flipped(next_record)
             next_record += body.triangle_count
             turned.append(other)
-            outside.boundaries.append(other.reaches(outside.reach or outside.body.size))
+            outside.boundaries.append(other.extended(outside.visible_range or outside.body.size))
     for body in passed:
         if body.outside != NONE and regions[body.outside].boundaries:
             raise refusal("straight inside", body.name, other=regions[body.outside].boundaries[0].name)

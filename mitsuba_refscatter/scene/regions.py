@@ -27,7 +27,7 @@ class Region:
     scatters    whether it scatters light
     phase       phase function (omega, d), 1/sr: ``media.phase``
     directed    ``media.directed``, or None
-    reach       how far light and camera rays are followed in it, or None where its body ends it
+    visible_range  how far light and camera rays are followed in it, or None where its body ends it
     admits      whether light may come in without refraction
     boundaries  refracting ones, each as the ``Body`` that has this region inside
     """
@@ -39,7 +39,7 @@ class Region:
     scatters: bool = False
     phase: Callable | None = None
     directed: Callable | None = None
-    reach: float | None = None
+    visible_range: float | None = None
     admits: bool = False
     boundaries: list[Body] = field(default_factory=list)
 
@@ -84,7 +84,7 @@ class Regions:
             region.scatters, region.phase = media.scatters(medium), media.phase(medium)
             region.directed = media.directed(medium)
         if body is None:
-            region.reach = _reach(name, medium)
+            region.visible_range = _visible_range(name, medium)
         return region
 
     def _of(self, medium, body):
@@ -110,7 +110,7 @@ class Regions:
         return region.index
 
 
-def _reach(name, medium):
+def _visible_range(name, medium):
     """Distance behind which no more is seen of an unbounded medium."""
     around = mi.warp.square_to_uniform_sphere(dr.meshgrid(*2 * [dr.linspace(mi.Float, 0, 1, 9)]))
     sigma_t = np.array(media.coefficients(medium, media.visible(), mi.Vector3f(around))[1]).ravel()

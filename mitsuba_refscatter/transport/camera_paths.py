@@ -79,7 +79,7 @@ class Paths:
 
 
 @dataclass
-class Limits:
+class ChainLimits:
     """How far camera rays are followed.
 
     internal_bounces  number of internal reflections, and of hits from outside after the first
@@ -102,7 +102,7 @@ class _Walk:
 
     scene: Scene
     ray: mi.Ray3f
-    limits: Limits
+    limits: ChainLimits
     paths: Paths
     again: bool
     step: int = 0
@@ -124,7 +124,7 @@ def trace(scene, ray, active, start, limits):
     ray     mi.Ray3f
     active  Bool, which of them are followed
     start   index of the region in which they start, or NONE
-    limits  ``Limits``
+    limits  ``ChainLimits``
     """
     n = dr.width(ray)
     legs = Legs(
@@ -217,10 +217,10 @@ def _record(walk, legs, valid, length):
     """Adds the parts of legs in regions that scatter to the segments."""
     for region in walk.scene.regions:
         if region.scatters:
-            inside = dr.compress((legs.region == region.index) & (True if region.reach else valid))
+            inside = dr.compress((legs.region == region.index) & (True if region.visible_range else valid))
             if dr.width(inside) > 0:
                 s, t = legs.gather(inside), dr.gather(mi.Float, length, inside)
-                t = dr.minimum(t, dr.opaque(mi.Float, region.reach)) if region.reach else t
+                t = dr.minimum(t, dr.opaque(mi.Float, region.visible_range)) if region.visible_range else t
                 found = CameraSegments(
                     origin=s.o,
                     offset=s.back,

@@ -189,7 +189,7 @@ class SurfacePaths:
         active &= there.pdf != 0
         ray = si.spawn_ray_to(there.p)  # from off the surface, which may be nearer by more than an emitter is thick
         distance = ray.maxt
-        if any(region.reach is not None for region in self.scene.regions):  # media without end
+        if any(region.visible_range is not None for region in self.scene.regions):  # media without end
             endless = mi.has_flag(there.emitter.flags(), mi.EmitterFlags.Infinite)
             distance = dr.select(endless, tolerances.ENDLESS, distance)
         return there, weight * self.transmittance.follow(ray.o, ray.d, distance, region, active)[0]

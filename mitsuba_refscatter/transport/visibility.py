@@ -22,7 +22,7 @@ class Shadows:
 
     ``lit(P, Ng, L, active)``: nothing between the light and P (body coordinates); ``inside(P, Ng, direction,
     length, active)``: nothing between P and the point at ``length``. A test is None where nothing can be in the
-    way: a convex body does not shadow itself; ``guests``: whether other shapes may be inside. ``incidence``:
+    way: a convex body does not shadow itself; ``inner_objects``: whether other shapes may be inside. ``incidence``:
     ``optics.Incidence`` of the light, one, for ``seen`` alone; ``emitter``: a shape that the light's points lie
     on, where it is convex: it is not in the way of what it sends. Light that comes to the body through media is
     followed by ``Transmittance`` instead; ``sampled``: whether what is lit may be judged by samples.
@@ -36,11 +36,11 @@ class Shadows:
         self.offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * body.extent + body.apart)
         other_bodies = [other.shape for other in scene.bodies if other.shape is not body.shape]
         self.others = [shape for shape in scene.others if shape is not emitter]
-        self.guests = any(meets(body, shape) for shape in scene.others + other_bodies)
+        self.inner_objects = any(meets(body, shape) for shape in scene.others + other_bodies)
         straight = scene.through_media(body)
         self.lit = None if straight or (body.convex and not self.others and not other_bodies) else self._lit
-        self.inside = None if body.convex and not self.guests else self._inside
-        self.may_prove_inside = self.inside is not None and not self.guests and body.closed
+        self.inside = None if body.convex and not self.inner_objects else self._inside
+        self.may_prove_inside = self.inside is not None and not self.inner_objects and body.closed
 
     def _lit(self, P, Ng, L, active):
         start = P + self.offset * Ng

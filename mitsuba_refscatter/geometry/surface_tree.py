@@ -9,7 +9,7 @@ from ..core import arrays
 from . import bvh, triangle
 
 
-class Surface:
+class SurfaceTree:
     """The tree over the triangles of a body, whose centres decide their order.
 
     records       the packed triangles of the body, and maybe others
