@@ -20,6 +20,7 @@ class Frame:
     seed      of random numbers
     spp       samples per pixel; 0: as the sensor's sampler says
     sequence  that the places in the pixels are taken from, or None for those of the sampler
+    most      camera samples in one pass, at most; a pass has at least one per pixel
     aovs      names of the extra channels
     progress  (share done), or None
     watch     (samples per pixel, image so far) -> how many are next (0: no more), or None; then the first pass is
@@ -30,13 +31,14 @@ class Frame:
     seed: int
     spp: int
     sequence: Sequence | None
+    most: int
     aovs: list
     progress: Callable | None
     watch: Callable | None
 
 
 def render(sample, frame, develop, evaluate):
-    """Renders in passes of at most ``tolerances.PASS_SAMPLES`` camera samples, at least one per pixel.
+    """Renders a ``Frame`` in passes.
 
     ``sample(sampler, ray, ray weight, active, batch, progress) -> (radiance, valid, extra channels)``;
     ``develop``, ``evaluate``: as in Mitsuba's ``Integrator.render``.
@@ -52,7 +54,7 @@ def render(sample, frame, develop, evaluate):
     border = film.rfilter().border_size() if film.sample_border() else 0
     size = film.crop_size() + 2 * border
     pixels = int(size[0]) * int(size[1])
-    most = max(1, tolerances.PASS_SAMPLES // pixels)
+    most = max(1, frame.most // pixels)
     film.prepare(aovs)
     block, done, per_pass, seeded = film.create_block(), 0, 1 if watch else _divisor(spp, most), 0
     coalesce = block.coalesce()

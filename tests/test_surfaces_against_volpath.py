@@ -19,6 +19,8 @@ from against_volpath import BLOCK, RES, camera, colour, glass, to
 from build import point_light
 from comparison import block_means, check, compare
 
+from mitsuba_refscatter.benchmarks import timing
+
 pytestmark = pytest.mark.usefixtures("rgb")
 
 FLOOR_TO = (("rotate", [1, 0, 0], -90), ("scale", 10))
@@ -237,7 +239,7 @@ def test_furnace():
 
 
 def test_a_scene_without_bodies_is_that_of_path():
-    """Nothing but plain surfaces, under a panel and a sky; shown is what ``path`` shows."""
+    """Nothing but plain surfaces, under a panel and a sky; shown is what ``path`` shows. Prints what that costs."""
 
     def scene(integrator):
         panel = {"type": "rectangle", "to_world": to(("translate", [0, 4, 0]), ("rotate", [1, 0, 0], 90)),
@@ -250,10 +252,13 @@ def test_a_scene_without_bodies_is_that_of_path():
         parts = {"sensor": camera(origin=(0, 2.4, 7), target=(0, 0.6, 0)), "sky": SKY, "panel": panel, "block": block}
         return mi.load_dict({"type": "scene", "integrator": integrator, "floor": floor(), **parts})
 
-    ours, expected = (
-        renders(scene({"type": name, "max_depth": 8}), 8, spp) for name, spp in (("refscatter", 64), ("path", 128))
-    )
+    scenes = [scene({"type": name, "max_depth": 8}) for name in ("refscatter", "path")]
+    ours, expected = (renders(one, 8, spp) for one, spp in zip(scenes, (64, 128)))
     check(compare(ours, expected, BLOCK), mean_error=0.003, block_error=0.02)
+    works = [lambda one=one: mi.render(one, spp=256, seed=1) for one in scenes]
+    timing.medians(works, 1)  # compiles
+    (a, _), (b, _) = timing.medians(works, 7)
+    print(f"a sample costs {a / b:.2f} times one of path")
 
 
 def test_nothing_to_show_is_refused(rgb):

@@ -3,7 +3,7 @@
 import drjit as dr
 import mitsuba as mi
 
-from .. import film, missing, options, platform
+from .. import film, missing, options, platform, tolerances
 from ..core.cache import Cache
 from ..core.sobol import Batch, Sequence
 from ..estimators.wavefront import Counts
@@ -136,7 +136,8 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
                 hooks.watch is not None
             ):  # then the number of samples is not known, and samplers stratify for a known one
                 sequence = sequence or Sequence(number)
-            frame = film.Frame(sensor, seed, spp, sequence, self.aov_names(), hooks.progress, hooks.watch)
+            most = tolerances.PASS_SAMPLES if prepared.scene.splits else tolerances.PLAIN_PASS_SAMPLES
+            frame = film.Frame(sensor, seed, spp, sequence, most, self.aov_names(), hooks.progress, hooks.watch)
             render_pass = self._pass(prepared, sensor.get_medium(), hooks.counts, whole=True, silent=hooks.silent)
             image = film.render(render_pass, frame, develop, evaluate)
             self.messages.warn(messages.unresolved(hooks.counts, self.options.tolerance))

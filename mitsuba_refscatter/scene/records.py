@@ -117,6 +117,12 @@ class Scene:
         known = active & (region != NONE)
         return dr.select(known, dr.gather(mi.UInt32, self.owner, region, known), NONE)
 
+    @property
+    def splits(self):
+        """Whether camera rays may meet what they are followed beyond without random choice: boundaries, mirrors,
+        media."""
+        return bool(self.bodies or self.regions) or self.mirrors is not None
+
     def lets_pass(self, hit):
         """Whether rays that meet a boundary (``crossing.Hit``) and go through it are not bent, as if it were not
         there."""

@@ -317,6 +317,9 @@ COALESCED = 4
 PASS_SAMPLES = 1 << 18
 """Most camera samples in one pass of the film, and most sample points of camera segments at a time."""
 
+PLAIN_PASS_SAMPLES = 1 << 20
+"""Most camera samples in one pass where camera rays meet neither boundaries nor mirrors: little is kept of them."""
+
 
 PROFILE_CELLS = 64
 """Cells of the curve in one light beam for a probe.

@@ -135,7 +135,7 @@ def trace(scene, ray, active, start, limits):
     if not isinstance(active, bool) or not active:
         legs = legs.gather(dr.compress(mi.Bool(active) & dr.full(mi.Bool, True, n)))
     paths = Paths([[] for _ in scene.regions], [], [], dr.zeros(mi.Bool, n))
-    if not scene.bodies and not scene.regions and scene.mirrors is None:  # then there is nothing to follow
+    if not scene.splits:
         paths.ends = [legs] if limits.surfaces and len(legs) > 0 else []
         return paths
     walk = _Walk(scene, ray, limits, paths, _may_enter_again(scene, limits))
