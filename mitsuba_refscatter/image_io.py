@@ -114,13 +114,15 @@ def rgb_of(bitmap: mi.Bitmap) -> Optional[np.ndarray]:
 def about(integrator, scene: str, spp: Optional[int] = None, seed: Optional[int] = None) -> dict:
     """What an EXR's header says of the image, with versions and variant.
 
-    integrator  with its settings
+    integrator  with its settings, and the error that it expects of its image
     scene       a name, no path
     spp         samples per pixel, None if they are not known
     seed        None if there is none
     """
     said = {"integrator": str(integrator), "scene": scene, "spp": spp, "seed": seed, "variant": mi.variant(),
             "mitsuba": mi.__version__, "refscatter": mitsuba_refscatter.__version__}  # fmt: skip
+    error = getattr(integrator, "estimated_error", None)
+    said["estimated_error"] = None if error is None else f"{error:.2e}"
     return {key: value for key, value in said.items() if value is not None}
 
 

@@ -208,7 +208,7 @@ class Culling:
     instead."""
 
     def __init__(self, scene, accuracy=None, **options):
-        exact = {"samples_visibility": False, "coarse": 0.0, **(accuracy or {})}
+        exact = {"samples_visibility": False, "cells": 0.0, **(accuracy or {})}
         self.prepared = prepare(scene, Options(**options), Cache(), lambda: 0, changes=exact)
         self.body, (emitter,) = self.prepared.scene.bodies[0], self.prepared.scene.emitters
         region, sample = self.prepared.scene.regions[0], light_samples.exact(emitter)

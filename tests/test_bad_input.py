@@ -161,8 +161,8 @@ def test_a_point_light_very_far_away(make):
     """As far as float32 tells one unit no more, it is a sun."""
     far = 1e8
     away, toward = (
-        build.point_light((-far, far, 0), [2 * far**2] * 3),
-        {"type": "directional", "direction": [1, -1, 0]},
+        build.point_light((-far, 1.1 * far, 0.05 * far), [2.2125 * far**2] * 3),
+        {"type": "directional", "direction": [1, -1.1, -0.05]},  # in the plane of no facet
     )
     sun = {**toward, "irradiance": {"type": "rgb", "value": [1.0] * 3}}
     np.testing.assert_allclose(*(render(make.scene(lamp=lamp)) for lamp in (away, sun)), rtol=1e-2, atol=1e-6)

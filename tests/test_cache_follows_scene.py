@@ -1,9 +1,10 @@
-"""What an integrator keeps from render to render follows the scene: after each change its image, and the coarse
-mesh that it takes, are those of a fresh integrator."""
+"""What an integrator keeps from render to render follows the scene: after each change its image, and the light beams
+that it takes, are those of a fresh integrator."""
 
 from dataclasses import replace
 
 import build
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -12,10 +13,10 @@ from test_reproducible import assert_same
 
 from mitsuba_refscatter import options
 from mitsuba_refscatter.core.cache import Cache
-from mitsuba_refscatter.integrators import mesh_choice, single_scattering
 from mitsuba_refscatter.integrators.hooks import Hooks
-from mitsuba_refscatter.integrators.prepared import prepare
+from mitsuba_refscatter.integrators.prepared import Prepared, prepare
 from mitsuba_refscatter.light import light_samples
+from mitsuba_refscatter.light.beams import BEAM
 
 LAMP = (-2.6, 2.4, -0.9)
 
@@ -35,7 +36,7 @@ def refscatter():
 
 @pytest.fixture
 def ball(rgb, tmp_path):
-    """``ball(...)``: a scene whose body has coarser meshes."""
+    """``ball(...)``: a scene whose body has a coarse mesh."""
     mesh = bumpy_sphere(4, 0.1, 4.0)
 
     def scene(**parts):
@@ -49,22 +50,20 @@ def ball(rgb, tmp_path):
 
 @pytest.fixture
 def render(monkeypatch):
-    """``render(integrator, scene, sensor)``: the image, and of each coarse mesh in use the number of its triangles."""
-    choose, taken = single_scattering.choose, []
+    """``render(integrator, scene, sensor)``: the image, and the numbers of light beams of each light in use."""
+    find, taken = Prepared.culled, []
 
-    def seen(prepared, body, *rest):
-        found = choose(prepared, body, *rest)
-        assert found is body or (found.stands_for is body and found.triangle_count < 0.2 * body.triangle_count)
-        if found.stands_for is not None:
-            taken.append(found.triangle_count)
-        return found
+    def seen(prepared, *what):
+        shadows, culling = find(prepared, *what)
+        taken.append([dr.width(one.records) // BEAM for _, one in culling.by_share()])
+        return shadows, culling
 
     def render(integrator, scene, sensor=0, hooks=None):
         taken.clear()
         image = np.array(integrator.render(scene, sensor, seed=1, spp=1, hooks=hooks), dtype=np.float64)
         return image, list(taken)
 
-    monkeypatch.setattr(single_scattering, "choose", seen)
+    monkeypatch.setattr(Prepared, "culled", seen)
     return render
 
 
@@ -88,20 +87,14 @@ CHANGES = {
 }
 
 
-def test_the_coarse_mesh_follows_the_scene(ball, render, monkeypatch):
-    """Light, camera, medium and boundary are changed one at a time. A coarse mesh is in use all the time, often
-    another one."""
+def test_light_beams_follow_the_scene(ball, render):
+    """Light, camera, medium and boundary are changed one at a time."""
     scene, one = ball(), refscatter()
     # First by a camera that is no part of the scene: when it is changed for another, nothing of that changes.
-    _, by_other = render(one, scene, mi.load_dict(camera((3, -3, 1))))
-    (original, found), (fresh, levels) = render(one, scene), render(refscatter(), scene)
-    assert len(levels) == 1 and found == levels != by_other
+    render(one, scene, mi.load_dict(camera((3, -3, 1))))
+    (original, found), (fresh, numbers) = render(one, scene), render(refscatter(), scene)
+    assert len(numbers) == 1 and found == numbers
     assert_same(original, fresh)
-    made = dict(one.cache._now)
-    with monkeypatch.context() as context:  # the second render chooses and makes nothing
-        context.setattr(mesh_choice, "suitable", None)
-        assert_same(render(one, scene)[0], original)
-    assert all(made.get(key) is value for key, value in one.cache._now.items())
     different = set()
     for name, (key, value) in CHANGES.items():
         before = change(scene, key, value)
@@ -110,18 +103,30 @@ def test_the_coarse_mesh_follows_the_scene(ball, render, monkeypatch):
         assert len(wanted) == 1 and found == wanted, name
         assert_same(image, fresh)
         assert np.abs(image - original).sum() > 1e-2 * original.sum()
-        different |= {name} if wanted != levels else set()
+        different |= {name} if wanted != numbers else set()
         change(scene, key, lambda _: before)
-    assert {"light", "camera", "extinction"} <= different
+    assert {"light", "extinction"} <= different and "camera" not in different
+
+
+def test_light_beams_of_a_point_are_kept(ball, render):
+    """They are made once, and again where the light has moved."""
+    scene, one = ball(light=build.point_light(LAMP)), refscatter()
+    original, _ = render(one, scene)
+    made = dict(one.cache._now)
+    assert_same(render(one, scene)[0], original)
+    assert all(made.get(key) is value for key, value in one.cache._now.items())
+    change(scene, "light.position", lambda _: mi.Point3f(3, 2, 3))
+    assert_same(render(one, scene)[0], render(refscatter(), scene)[0])
+    assert any(made.get(key) is not value for key, value in one.cache._now.items())
 
 
 @pytest.mark.slow
-def test_the_coarse_mesh_follows_the_accuracy(ball, render):
-    scene, one, fresh = ball(), refscatter(), refscatter()
-    _, levels = render(one, scene)
-    rough = Hooks(accuracy={"coarse": 0.3})
-    (image, found), (expected, wanted) = render(one, scene, hooks=rough), render(fresh, scene, hooks=rough)
-    assert found == wanted != levels
+def test_light_beams_follow_the_accuracy(ball, render):
+    scene, one, fresh = ball(light=build.point_light(LAMP)), refscatter(), refscatter()
+    _, numbers = render(one, scene)
+    fine = Hooks(accuracy={"cells": 0.005})
+    (image, found), (expected, wanted) = render(one, scene, hooks=fine), render(fresh, scene, hooks=fine)
+    assert found == wanted != numbers
     assert_same(image, expected)
 
 
@@ -145,8 +150,8 @@ def scaled(place, size):
     return mi.ScalarTransform4f().translate(place) @ mi.ScalarTransform4f().scale(size)
 
 
-def test_patches_follow_what_touches_the_body(ball, render):
-    """Something on the boundary hides it from the rays that find a patch's middle."""
+def test_cells_follow_what_touches_the_body(ball, render):
+    """Something on the boundary hides it from the rays that find it from the coarse mesh."""
     scene = ball(knob={"type": "sphere", "bsdf": {"type": "diffuse"}})
     places = [mi.Transform4f(scaled(x, 0.45)) for x in ([-0.6, 0.5, 0.6], [5.0, 5.0, 5.0])]
     assert_follows(render, *(at(scene, "knob.to_world", place) for place in places))
@@ -166,7 +171,7 @@ def test_an_obstacle_of_another_kind(ball, render):
     assert_follows(render, *(lambda kind=kind: ball(block={"type": kind, **block}) for kind in ("disk", "sphere")))
 
 
-def test_coarse_meshes_follow_how_deep_one_sees(rgb, tmp_path, render):
+def test_light_beams_follow_how_deep_one_sees(rgb, tmp_path, render):
     """Water without end: the size of what its surface lights depends on the medium."""
     uv, faces = triangle_grid(40)
     x, y = 4 * uv.T - 2
@@ -196,6 +201,9 @@ def test_nothing_is_kept_of_points_that_are_drawn(rgb, tmp_path):
         counts.append(len(prepared.cache._now))
     assert counts[0] > 0 and len(set(counts)) == 1
     prepared.illuminated(
-        region.boundaries[0], region, replace(point, shape=None), replace(emitter, place=point.local(mi.Point3f(0)))
+        region.boundaries[0],
+        region,
+        replace(point, shape=None, normal=None),
+        replace(emitter, place=point.local(mi.Point3f(0))),
     )
     assert len(prepared.cache._now) == counts[0] + 1

@@ -59,7 +59,7 @@ def test_the_parts_are_what_the_integrator_finds(rgb, scene, probe, truth):
     t = np.arange(1, n) * segment.length / n
     medium = next(s for s in scene.shapes() if s.id() == "body").interior_medium()
     o, d = segment.origin + t[:, None] * segment.direction, np.tile(segment.direction, (n - 1, 1))
-    from_here = single_scattering(scene, o, d, medium, internal_bounces=0, tolerance=1e-3)
+    from_here = single_scattering(scene, o, d, medium, internal_bounces=0, tolerance=0.0)
     from_here *= segment.weight * np.exp(-truth[0].sigma_t * t[:, None])
     expected = from_here - np.vstack([from_here[1:], np.zeros((1, 3))])
     found = parts(probe, n)[1:]

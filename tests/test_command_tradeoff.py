@@ -13,8 +13,11 @@ from mitsuba_refscatter import example_scenes, tolerances
 from mitsuba_refscatter.benchmarks import tradeoff
 from mitsuba_refscatter.integrators.hooks import Hooks
 
-OTHERS = {"interval_samples", "point_samples", "panels", "panel_points", "lobes", "adapts"}
-"""Of estimators other than the curve, and of light that is not refracted."""
+OTHERS = {
+    "interval_samples", "point_samples", "panels", "panel_points", "lobes", "adapts",
+    "bend", "linear", "newton", "guest_points", "samples_visibility", "coarse",
+}  # fmt: skip
+"""Of triangles themselves and other estimators, and of light that is not refracted; the same for all tolerances."""
 
 
 @needs_variant

@@ -42,7 +42,7 @@ TRACING = {"ray_intersect_preliminary", "ray_test"}
 ASKS = {
     "integrators/refscatter.py": {"sensors"},
     "missing/walk.py": {"compute_surface_interaction"},
-    "light/simplification.py": {"ray_intersect_preliminary"},
+    "light/first_cells.py": {"ray_intersect_preliminary"},
     "light/light_samples.py": {"sample_position"},
     "probing/__init__.py": {"ray_intersect_preliminary", "sensors"},
     "transport/crossing.py": {

@@ -69,9 +69,7 @@ MESHES = {
 @pytest.mark.parametrize("name", MESHES)
 def test_meshes_of_one_shape(make, name):
     plain, odd = (
-        render(
-            make.scene(ball=make.ball(mesh), integrator={"type": "refscatter", "surfaces": False, "tolerance": 1e-3})
-        )
+        render(make.scene(ball=make.ball(mesh), integrator={"type": "refscatter", "surfaces": False, "tolerance": 0.0}))
         for mesh in MESHES[name]
     )
     np.testing.assert_allclose(odd, plain, atol=1e-4 * plain.max())

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 SIZES = (1280, 5120, 20480, 81920, 327680, 1310720)
 EXACT_MESH = "refscatter_exact_mesh"
-"""``refscatter`` on the body's own mesh instead of a coarser one, at the same tolerance."""
+"""``refscatter`` with the body's own triangles as first cells, at the same tolerance."""
 OURS = ("refscatter", EXACT_MESH, *(method for method in methods.METHODS if method not in ("refscatter", "volpath")))
 NO_PAIRS = {"rays": None, "candidates_per_ray": None, "contributing_per_ray": None}
 """In the rows of methods that have no pairs of ray and triangle."""
@@ -68,7 +68,7 @@ class Setup:
 
     def hooks(self, method: str) -> Hooks:
         """Those of a method's renders."""
-        return Hooks(accuracy={"coarse": 0.0} if method == EXACT_MESH else {}, silent=True)
+        return Hooks(accuracy={"coarse": False} if method == EXACT_MESH else {}, silent=True)
 
 
 def measure(setup: Setup) -> list[dict]:

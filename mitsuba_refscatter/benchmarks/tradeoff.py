@@ -27,11 +27,8 @@ REFERENCE = 0.0
 IN_ROW = 3
 """Panels side by side: readable at 1280 pixels."""
 CHOICES = {
-    "mesh": ("coarse",),
-    "visibility": ("samples_visibility",),
-    "Newton": ("newton",),
-    "quadrature": ("points", "guest_points"),
-    "subdivision": ("bend", "linear"),
+    "beams": ("cells",),
+    "quadrature": ("points", "uneven"),
     "clipping": ("clip",),
     "weak paths": ("weight",),
 }
@@ -97,12 +94,12 @@ def run(
     progress  (share done) is called after each render
     """
 
-    def prepared(tolerance, changes):
-        integrator = mi.load_dict(setup.properties(tolerance))
+    def prepared(integrator, changes):
         return lambda: integrator.render(scene, seed=0, spp=setup.samples, hooks=Hooks(accuracy=changes, silent=True))
 
     every = settings(setup)
-    renders = [prepared(tolerance, changes) for _, tolerance, changes in every]
+    exact, *integrators = (mi.load_dict(setup.properties(x)) for x in (REFERENCE, *(one[1] for one in every)))
+    renders = [prepared(integrator, changes) for integrator, (_, _, changes) in zip(integrators, every)]
     done, total = itertools.count(1), 1 + len(every) * (1 + setup.repeats)
 
     def image(render):
@@ -110,15 +107,15 @@ def run(
         progress(next(done) / total)
         return found[..., -3:], seconds
 
-    reference, _ = image(prepared(REFERENCE, {}))
+    reference, _ = image(prepared(exact, {}))
     firsts = [image(render) for render in renders]
     times = timing.medians(renders, setup.repeats, lambda: progress(next(done) / total))
     rows = []
-    for (what, tolerance, changes), (found, first), (wall, cpu) in zip(every, firsts, times):
+    for (what, tolerance, changes), integrator, (found, first), (wall, cpu) in zip(every, integrators, firsts, times):
         rows.append(results.row(
             scene=name, method=what, variant=setup.variant, samples=setup.samples, wall_seconds=wall, cpu_seconds=cpu,
             settings={**setup.properties(tolerance), "changes": changes}, first_seconds=first, tolerance=tolerance,
-            switched=bool(changes), **metrics.all_of(found, reference),
+            switched=bool(changes), estimated_error=integrator.estimated_error, **metrics.all_of(found, reference),
         ))  # fmt: skip
         report(rows[-1])
     return rows

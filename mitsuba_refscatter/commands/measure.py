@@ -219,13 +219,16 @@ def tradeoff(
     require("matplotlib", "flip_evaluator")
     variant = measurable(variant, directory)
     mi.set_variant(variant)
-    shown = table("scene", "tolerance or choice", "L1 error", "bias", "p99", "FLIP", "wall s", "CPU s", "first s")
+    shown = table(
+        "scene", "tolerance or choice", "expected", "L1 error", "bias", "p99", "FLIP", "wall s", "CPU s", "first s"
+    )
 
     def add(row):
         shown.add_row(
             row["scene"], row["method"], *(f"{row[key]:{form}}" for key, form in (
-                ("mean_relative_error", ".1e"), ("bias", "+.1e"), ("p99_relative_error", ".1e"), ("flip", ".4f"),
-                ("wall_seconds", ".2f"), ("cpu_seconds", ".2f"), ("first_seconds", ".1f"))),
+                ("estimated_error", ".1e"), ("mean_relative_error", ".1e"), ("bias", "+.1e"),
+                ("p99_relative_error", ".1e"), ("flip", ".4f"), ("wall_seconds", ".2f"), ("cpu_seconds", ".2f"),
+                ("first_seconds", ".1f"))),
         )  # fmt: skip
 
     rows, setup = [], tradeoff_runs.Setup(variant, tuple(tolerance), choices, bounces, samples)

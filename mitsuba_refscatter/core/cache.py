@@ -14,8 +14,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..tolerances import Accuracy
-
 
 class Cache:
     """Things by what they were made from. Those that one round did not ask for are dropped at the end of the next."""
@@ -44,7 +42,6 @@ class BodyKey:
     mesh     fingerprint of its buffers
     flipped  whether ``Body.flipped`` made the body
     visible_range  length to which ``Body.extended`` limits its light, in units of the scene; 0 where it does not
-    patches  digest of those that stand for the triangles
     """
 
     kind: str
@@ -53,40 +50,11 @@ class BodyKey:
     mesh: tuple[int, ...]
     flipped: bool = False
     visible_range: float = 0.0
-    patches: bytes = b""
-
-
-@dataclass(frozen=True)
-class LevelsKey:
-    """Of the coarser meshes of a body (``simplification.levels``).
-
-    body        the body
-    least_turn  of the normals along edges, as there
-    most_turn   the same
-    """
-
-    body: BodyKey
-    least_turn: float
-    most_turn: float
-
-
-@dataclass(frozen=True)
-class PatchesKey:
-    """Of the patches on a coarser mesh. Other shapes may hide the body from the rays that find their middles.
-
-    body      the body that they stand for
-    faces     digest of the coarser mesh's
-    geometry  ``Scene.geometry``; where that is None it is a key in one render
-    """
-
-    body: BodyKey
-    faces: bytes
-    geometry: tuple | None
 
 
 @dataclass(frozen=True)
 class RecordsKey:
-    """Of packed triangles or patches.
+    """Of packed triangles.
 
     bodies  whose they are, one after the other
     """
@@ -106,52 +74,6 @@ class TreeKey:
     kind: str
     records: RecordsKey
     first_record: int
-
-
-@dataclass(frozen=True)
-class BeamsKey:
-    """Of the light beams of one light point in a body.
-
-    body          the body
-    records       its packed triangles, among others
-    first_record  index of its first triangle there
-    geometry      ``Scene.geometry``, for shadows
-    distant       as ``optics.LocalLight`` has it
-    L             three numbers, the same; the light lies on no shape
-    tests_lit     whether rays test what is lit
-    accuracy      what the option ``tolerance`` selects
-    """
-
-    body: BodyKey
-    records: RecordsKey
-    first_record: int
-    geometry: tuple
-    distant: bool
-    L: tuple[float, ...]
-    tests_lit: bool
-    accuracy: Accuracy
-
-
-@dataclass(frozen=True)
-class ChoiceKey:
-    """Of which coarser mesh stands for a body: depends on all that single scattering does.
-
-    scene       Mitsuba's, the object itself
-    parameters  digest of all that can be changed in it
-    segments    digest of the camera segments on which it is measured
-    body        the body
-    region      index of that behind the boundary
-    light       index of the emitter
-    accuracy    what the option ``tolerance`` selects
-    """
-
-    scene: mi.Scene
-    parameters: bytes
-    segments: bytes
-    body: BodyKey
-    region: int
-    light: int
-    accuracy: Accuracy
 
 
 def fingerprint(*arrays):

@@ -94,21 +94,19 @@ def piece_at(tri, incidence, u0, v0, h):
     ``bend`` bounds how far omega is from linear, in any direction. A quadratic deviates by at most 4/3 of what it does
     at the edges' middles; 2 leaves room for the cubic part. Where the critical angle may be passed, omega has a square
     root in it: all of c_V may be missed. ``twist`` bounds the same for what is bilinear in position and direction, as g
-    is, by 4/3 of |edge| |change| / 4. To that is added how far a curved triangle is from its plane one.
+    is, by 4/3 of |edge| |change| / 4.
     """
     P, omega, c_V2 = zip(*(refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), incidence) for u, v in CORNERS))
-    bend, twist, curved, sag = mi.Float(0), mi.Float(0), mi.Float(0), mi.Float(0)
+    bend, twist, curved = mi.Float(0), mi.Float(0), mi.Float(0)
     for i, (u, v) in enumerate(MIDDLES):
         j, k = (i + 1) % 3, (i + 2) % 3
-        at, middle, inside = refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), incidence)
-        if tri.curved:
-            sag = dr.maximum(sag, 4 / 3 * dr.norm(at - 0.5 * (P[j] + P[k])))
+        _, middle, inside = refracted(tri, dr.fma(h, u, u0), dr.fma(h, v, v0), incidence)
         bend = dr.maximum(bend, 2 * dr.norm(middle - 0.5 * (omega[j] + omega[k])))
         twist = dr.maximum(twist, dr.norm(P[j] - P[k]) * dr.norm(omega[j] - omega[k]) / 3)
         curved = dr.maximum(curved, 2 * dr.abs(inside - 0.5 * (c_V2[j] + c_V2[k])))
     low, high = fold(dr.minimum, c_V2), fold(dr.maximum, c_V2)
     bend = dr.select(low < curved, dr.maximum(bend, dr.safe_sqrt(high + curved)), bend)
-    return Piece(list(P), list(omega), bend, twist + sag, u0, v0, h)
+    return Piece(list(P), list(omega), bend, twist, u0, v0, h)
 
 
 def nothing(piece, empty):

@@ -37,6 +37,7 @@ class Bounds:
     rest_low, rest_high  Vector3f, box of omega - A (P - c)
     box_low, box_high    Vector3f, box of the beams
     count                Float, number of beams (for means); the node is empty where that is 0
+    skew                 Float, how far moments are from P x omega, at most
     """
 
     P_low: mi.Vector3f
@@ -49,6 +50,7 @@ class Bounds:
     box_low: mi.Vector3f
     box_high: mi.Vector3f
     count: mi.Float
+    skew: mi.Float
 
     def centre(self):
         """Centre c of the box of P."""
@@ -64,8 +66,8 @@ class Bounds:
 
     def rest_about(self, c, columns):
         """Box of omega minus another linear model, with these ``columns`` about ``c``."""
-        shift = _times(columns, self.centre() - c)
-        slack = _times([dr.abs(a - b) for a, b in zip(self.columns(), columns)], self.half())
+        shift = times(columns, self.centre() - c)
+        slack = times([dr.abs(a - b) for a, b in zip(self.columns(), columns)], self.half())
         return self.rest_low - shift - slack, self.rest_high - shift + slack
 
     def fields(self):
@@ -73,8 +75,8 @@ class Bounds:
         return tuple(self.__dict__.values())
 
 
-def _times(columns, x):
-    """The matrix with these columns times x."""
+def times(columns, x):
+    """The matrix with these ``columns`` times x."""
     return columns[0] * x.x + columns[1] * x.y + columns[2] * x.z
 
 
@@ -88,6 +90,7 @@ def merge(a, b):
     union = Bounds(
         P_low, P_high, *columns, dr.minimum(a_low, b_low), dr.maximum(a_high, b_high),
         dr.minimum(a.box_low, b.box_low), dr.maximum(a.box_high, b.box_high), a.count + b.count,
+        dr.maximum(a.skew, b.skew),
     )  # fmt: skip
     return tuple(dr.select(b.count == 0, x, dr.select(a.count == 0, y, z))
                  for x, y, z in zip(a.fields(), b.fields(), union.fields()))  # fmt: skip
@@ -97,34 +100,47 @@ def pack(fields):
     """The ``NODE`` numbers of a node; ``fields``: those of ``Bounds``."""
     b = Bounds(*fields)
     h, r = b.half(), 0.5 * (b.rest_high - b.rest_low)
-    change = _times([dr.abs(x) for x in b.columns()], h)
+    change = times([dr.abs(x) for x in b.columns()], h)
     out, nowhere = [], mi.Vector3f(tolerances.ENDLESS)  # no segment comes to the box of an empty node
     for x in (
         b.centre(), h, 0.5 * (b.rest_low + b.rest_high), *b.columns(), r,
         dr.select(b.count == 0, nowhere, b.box_low), dr.select(b.count == 0, nowhere, b.box_high),
     ):  # fmt: skip
         out += [x.x, x.y, x.z]
-    return out + [dr.norm(h) * (dr.norm(change) + dr.norm(r))]
+    return out + [dr.norm(h) * (dr.norm(change) + dr.norm(r)) + b.skew]
 
 
-def _leaf_bounds(records, count, depth, body):
-    """Bounds of the leaves, each of ``bvh.LEAF`` consecutive beams."""
+def tree_of(count, bounds_at):
+    """The tree over items, in their order.
+
+    count      int, number of items
+    bounds_at  (index) -> ``Bounds`` of items (UInt32), whose ``count`` is 0 where there is nothing
+    """
+    depth = bvh.depth_for(count)
     first = dr.arange(mi.UInt32, 1 << depth) * bvh.LEAF
     last = dr.opaque(mi.UInt32, count - 1)
     bounds = None
     for j in range(bvh.LEAF):
-        x = triangle.gather_numbers(records, dr.minimum(first + j, last), beam.BEAM)
-        piece = beam.unpack(x)
-        item = _beam_bounds(piece, body)
-        item.count = dr.select((first + j <= last) & (piece.twist >= 0), item.count, 0)
+        item = bounds_at(dr.minimum(first + j, last))
+        item.count = dr.select(first + j <= last, item.count, 0)
         bounds = item.fields() if bounds is None else merge(bounds, item.fields())
-    return bounds
+    return bvh.fold(bounds, depth, merge, pack, NODE)
 
 
 def _beam_bounds(piece, body):
-    """Bounds of single beams: the linear model is exact at the corners, ``bend`` bounds what is left in between, and
-    ``twist`` how far curved ones are from their plane triangles."""
+    """Bounds of single beams: the linear model is exact at the corners, ``bend`` bounds what is left in between."""
     P, omega, bend = piece.P, piece.omega, piece.bend
+    columns = linear_model(P, omega)
+    P_low, P_high = bvh.box(P)
+    c = 0.5 * (P_low + P_high)
+    rest_low, rest_high = _hull([w - times(columns, p - c) for p, w in zip(P, omega)], bend)
+    return Bounds(
+        P_low, P_high, *columns, rest_low, rest_high, *_beam_box(P, omega, bend, body), mi.Float(1), mi.Float(0)
+    )
+
+
+def linear_model(P, omega):
+    """Columns of the linear model that is exact at three corners."""
     e1, e2 = P[1] - P[0], P[2] - P[0]
     n = dr.cross(e1, e2)
     area2 = dr.squared_norm(n)
@@ -132,15 +148,7 @@ def _beam_bounds(piece, body):
     fine = area2 > tolerances.NEEDLE * dr.squared_norm(e1) * dr.squared_norm(e2)
     b1, b2 = (dr.select(fine, x / dr.select(fine, area2, 1), 0) for x in (dr.cross(e2, n), dr.cross(n, e1)))
     w1, w2 = omega[1] - omega[0], omega[2] - omega[0]
-    columns = [w1 * b1[k] + w2 * b2[k] for k in range(3)]
-    sag, model = 0, bend
-    if body.stands_for is not None:
-        sag = piece.twist  # at least how far it is curved
-        model = model + sag * dr.sqrt(sum(dr.squared_norm(x) for x in columns))
-    P_low, P_high = _hull(P, sag)
-    c = 0.5 * (P_low + P_high)
-    rest_low, rest_high = _hull([w - _times(columns, p - c) for p, w in zip(P, omega)], model)
-    return Bounds(P_low, P_high, *columns, rest_low, rest_high, *_beam_box(P, omega, bend, sag, body), mi.Float(1))
+    return [w1 * b1[k] + w2 * b2[k] for k in range(3)]
 
 
 def _hull(points, pad):
@@ -148,7 +156,7 @@ def _hull(points, pad):
     return low - pad, high + pad
 
 
-def _beam_box(P, omega, bend, sag, body):
+def _beam_box(P, omega, bend, body):
     """Box of a beam inside the box of its body: from its triangle as far as any of its rays can go.
 
     A ray leaves the body's box at the latest where it passes the wall ahead along any one axis. Rays between the
@@ -156,7 +164,7 @@ def _beam_box(P, omega, bend, sag, body):
     """
     low, high, least = *(dr.opaque(mi.Vector3f, x) for x in (body.box_low, body.box_high)), tolerances.ALONG_WALL
     longest = dr.norm(high - low)
-    P_low, P_high = _hull(P, sag)
+    P_low, P_high = bvh.box(P)
     w_low, w_high = _hull(omega, bend)
     for k in range(3):
         up, down = (
@@ -166,7 +174,7 @@ def _beam_box(P, omega, bend, sag, body):
         along = dr.select(w_low[k] > least, up, dr.select(w_high[k] < -least, down, tolerances.ENDLESS))
         longest = dr.minimum(longest, along)
     ends = [p + longest * w for p, w in zip(P, omega)]
-    box_low, box_high = _hull(list(P) + ends, bend * longest + sag)
+    box_low, box_high = _hull(list(P) + ends, bend * longest)
     return dr.maximum(box_low, low), dr.minimum(box_high, high)
 
 
@@ -177,8 +185,14 @@ def build(records, count, body):
     count    int, number of beams
     body     ``scene.boundaries.Body``
     """
-    depth = bvh.depth_for(count)
-    return bvh.fold(_leaf_bounds(records, count, depth, body), depth, merge, pack, NODE)
+
+    def bounds_at(index):
+        piece = beam.unpack(triangle.gather_numbers(records, index, beam.BEAM))
+        out = _beam_bounds(piece, body)
+        out.count = dr.select(piece.twist >= 0, out.count, 0)
+        return out
+
+    return tree_of(count, bounds_at)
 
 
 def node_test(segments):

@@ -15,13 +15,15 @@ import numpy as np
 
 from .. import tolerances
 from ..core import arrays
-from ..core.cache import BeamsKey
 from ..geometry import bvh, triangle
+from ..light import first_cells
 from . import beam as light_beam
 from . import beam_tree
 from .clearance import estimate
+from .light_beams import LightBeams
 from .pairs import Reach, Taken
 from .protocol import Culling
+from .structures import BeamsKey
 
 
 @dataclass
@@ -36,7 +38,7 @@ class Beams(Culling):
     width             mean width of the beams, in units of the scene
     """
 
-    triangle_records: mi.Float | triangle.Patches
+    triangle_records: mi.Float
     records: mi.Float
     triangles: mi.UInt32
     proven_lit: mi.Bool
@@ -45,8 +47,8 @@ class Beams(Culling):
 
     most_levels = tolerances.MAX_PAIR_SUBDIVISION  # besides those when they were made
     bundle = tolerances.BUNDLED
+    of_beams = LightBeams
     for_one_light = True
-    takes_coarse_meshes = True
 
     @classmethod
     def of(cls, body, shadows, structures, drawn):
@@ -55,7 +57,7 @@ class Beams(Culling):
         if drawn or geometry is None or dr.width(light.L) > 1:
             return build(body, shadows, structures)
         key = BeamsKey(
-            body=body.key, records=structures.records_key(body), first_record=body.first_record, geometry=geometry,
+            body=body.key, records=structures.scene.records_key, first_record=body.first_record, geometry=geometry,
             distant=light.distant, L=tuple(np.array(light.L).ravel().tolist()), tests_lit=shadows.lit is not None,
             accuracy=structures.accuracy,
         )  # fmt: skip
@@ -101,19 +103,15 @@ class Beams(Culling):
         return Taken(tri, piece, True, reach, proven_lit, mi.Bool(False))
 
 
-def _faces_light(tri, light):
-    """False only if no point of the triangle is lit: the facet faces away, or n . (L - P) < 0 throughout.
-
-    The latter is a polynomial in (u, v), of which the largest Bernstein coefficient is a bound. These are means of the
-    values for pairs of control points, for plane triangles one pair each.
-    """
-    points, n = tri.controls()
-    a = [light.to(p) for p in points]
-    top = dr.dot(n[0], a[0])
-    for i in range(len(a)):
-        for j in range(i, len(a)):
-            top = dr.maximum(top, 0.5 * (dr.dot(n[i], a[j]) + dr.dot(n[j], a[i])))
-    return (top > 0) & (dr.dot(tri.Ng, a[0]) > 0)
+def _on_rim(tri, shadows):
+    """Whether the light sends much more to some of the corners and the middle of triangles than to others."""
+    if shadows.emission is None or not shadows.emission.has_rim:
+        return mi.Bool(False)
+    low, high = mi.Float(tolerances.ENDLESS), mi.Float(0)
+    for P in (*tri.corners(), tri.position(1 / 3, 1 / 3)):
+        sent = dr.max(mi.Spectrum(shadows.emission(P, *shadows.light.seen_from(P))))
+        low, high = dr.minimum(low, sent), dr.maximum(high, sent)
+    return low < tolerances.EVENLY_SENT * high
 
 
 def _levels(tri, incidence, size, bend, proven_lit):
@@ -152,8 +150,8 @@ def build(body, shadows, structures):
     shadows     ``visibility.Shadows`` of the light
     structures  ``Structures`` of the scene
     """
-    scene_records, order, incidence = structures.records(body), structures.order(body), shadows.incidence
-    place = dr.compress(_faces_light(triangle.gather(scene_records, order), incidence.light))
+    scene_records, order, incidence = structures.scene.records, structures.order(body), shadows.incidence
+    place = dr.compress(first_cells.faces_light(triangle.gather(scene_records, order), incidence.light))
     lit = arrays.gather(order, place)
     if dr.width(lit) > 0:
         seen, proven = shadows.seen(lit)
@@ -161,7 +159,8 @@ def build(body, shadows, structures):
     if dr.width(lit) == 0:
         return None
     size, bend = (dr.opaque(mi.Float, x) for x in (body.size, structures.accuracy.bend))
-    level = _levels(triangle.gather(scene_records, lit), incidence, size, bend, proven)
+    tri = triangle.gather(scene_records, lit)
+    level = _levels(tri, incidence, size, bend, proven & ~_on_rim(tri, shadows))
 
     parent, code, level = _expand(level)
     parent, code, level, exists = _in_leaves(place, parent, code, level)
@@ -185,7 +184,7 @@ def _reach(tri, piece, body, shadows, structures):
         return [mi.Float(0)] * 4 + [mi.Float(tolerances.ENDLESS)]
     if structures.accuracy.samples_visibility:
         return estimate(tri, piece, shadows)
-    return structures.clearance(body).clear(tri, piece)
+    return structures.clearance(body).clear(piece)
 
 
 def _in_leaves(place, parent, code, level):

@@ -48,7 +48,6 @@ class _Cone:
     axis    Vector3f, unit
     start   Float, radius around the apex
     spread  Float, growth of the radius per length
-    sag     Float, at least how far light comes in from the plane triangle
     """
 
     piece: beam.Piece
@@ -56,17 +55,15 @@ class _Cone:
     axis: mi.Vector3f
     start: mi.Float
     spread: mi.Float
-    sag: mi.Float
 
     @classmethod
-    def around(cls, tri, piece):
-        """That around beams, of triangles."""
-        sag = piece.twist if tri.curved else mi.Float(0)
+    def around(cls, piece):
+        """That around beams."""
         P, omega = piece.P, piece.omega
         apex, axis = (P[0] + P[1] + P[2]) / 3, dr.normalize(omega[0] + omega[1] + omega[2])
-        start = dr.maximum(dr.norm(P[0] - apex), dr.maximum(dr.norm(P[1] - apex), dr.norm(P[2] - apex))) + sag
+        start = dr.maximum(dr.norm(P[0] - apex), dr.maximum(dr.norm(P[1] - apex), dr.norm(P[2] - apex)))
         spread = dr.maximum(dr.norm(omega[0] - axis), dr.maximum(dr.norm(omega[1] - axis), dr.norm(omega[2] - axis)))
-        return cls(piece, apex, axis, start, spread + piece.bend, sag)
+        return cls(piece, apex, axis, start, spread + piece.bend)
 
     def first_touch(self, centre, radius):
         """Where it can first touch a sphere (Float, along the axis), and whether it does (Bool)."""
@@ -90,9 +87,9 @@ class Clearance:
     def __init__(self, records, first_record, corners):
         self.surface = SurfaceTree(records, first_record, corners, lambda tri: [tri.Ng], _pack, NODE)
 
-    def clear(self, tri, piece):
-        """Length to which beams (``beam.Piece``) of triangles are certainly free, as the numbers of ``pairs.Reach``."""
-        cone = _Cone.around(tri, piece)
+    def clear(self, piece):
+        """Length to which beams (``beam.Piece``) are certainly free, as the numbers of ``pairs.Reach``."""
+        cone = _Cone.around(piece)
         axis, spread = cone.axis, cone.spread
 
         def visit(x, leaf, at_leaf, active, best):
@@ -124,7 +121,6 @@ class Clearance:
         for p, c in zip(P, cosines):
             plane = dr.minimum(plane, dr.dot(tri.P0 - p, tri.Ng) / dr.maximum(c, tolerances.LEAVING))
         least = dr.maximum(flattest, tolerances.LEAVING)
-        plane -= cone.sag / least
         plane *= tolerances.TRUSTED - dr.minimum(bend / least, tolerances.TRUSTED)
         near = dr.select(flattest > 2 * bend + tolerances.STEEP, dr.maximum(near, plane), near)
         return dr.select(active & touched & (steepest + bend > 0), near, tolerances.ENDLESS)

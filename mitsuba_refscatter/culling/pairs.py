@@ -42,6 +42,8 @@ class Pairs:
 
     def cut(self, n):
         """Each part of the curve in ``n`` shorter ones."""
+        if len(self) == 0:
+            return self
         i = dr.arange(mi.UInt32, n * len(self))
         parts = self.gather(i // n)
         whole = parts.tau0 is None or parts.tau1 is None

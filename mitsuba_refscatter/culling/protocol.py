@@ -26,8 +26,8 @@ class Culling(ABC):
     Such a culling knows the zeros of g before an estimator does, and proofs of visibility.
     """
 
-    takes_coarse_meshes: bool
-    """Whether a coarser mesh may stand for that of the boundary."""
+    of_beams: type[Culling] | None = None
+    """The same with light beams whose error follows the tolerance in place of triangles, or None."""
 
     bundle: int
     """Camera segments that go through the tree together, at most."""
@@ -43,8 +43,18 @@ class Culling(ABC):
         body        ``scene.boundaries.Body``
         shadows     ``visibility.Shadows`` of the light sample
         structures  ``Structures`` of the scene
-        drawn       whether the light sample is one of many: then nothing is made for other renders
+        drawn       number of light samples that share an image: then nothing is made for other renders; 0 for one alone
         """
+
+    estimate = 0.0
+    """Relative L1 error of the image that is expected of what it finds."""
+
+    apart = 0.0
+    """How far its light may start from the boundary, in units of the scene."""
+
+    def by_share(self):
+        """Cullings for segments by what they hold of their camera sample: list of (least share, ``Culling``)."""
+        return [(0.0, self)]
 
     @abstractmethod
     def node_test(self, segments, incidence):

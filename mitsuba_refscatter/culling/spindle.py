@@ -38,7 +38,7 @@ class Spindle(Culling):
     records  the packed triangles of the body, and maybe others
     """
 
-    for_one_light = takes_coarse_meshes = False
+    for_one_light = False
     bundle, width = 1, 0.0
     most_levels = tolerances.MOST_LEVELS
 
@@ -51,7 +51,7 @@ class Spindle(Culling):
     @classmethod
     def of(cls, body, _shadows, structures, _drawn):
         """As ``Culling.of``; the same for all lights."""
-        return structures.once("spindle", lambda: cls(body, structures.records(body)), body)
+        return structures.once("spindle", lambda: cls(body, structures.scene.records), body)
 
     def node_test(self, segments, incidence):
         """The conservative test of camera segments against a node of the tree, for ``bvh.traverse``."""

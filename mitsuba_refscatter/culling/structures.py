@@ -2,12 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import mitsuba as mi
 
 from ..core import arrays
-from ..core.cache import RecordsKey, TreeKey
-from ..geometry import bvh, triangle
+from ..core.cache import BodyKey, RecordsKey, TreeKey
+from ..geometry import bvh
+from ..tolerances import Accuracy
 from .clearance import Clearance
+
+
+@dataclass(frozen=True)
+class BeamsKey:
+    """Of the light beams of one light point in a body.
+
+    body          the body
+    records       its packed triangles, among others
+    first_record  index of its first triangle there
+    geometry      ``Scene.geometry``, for shadows
+    distant       as ``optics.LocalLight`` has it
+    L             three numbers, the same; the light lies on no shape
+    tests_lit     whether rays test what is lit
+    accuracy      what the option ``tolerance`` selects
+    """
+
+    body: BodyKey
+    records: RecordsKey
+    first_record: int
+    geometry: tuple
+    distant: bool
+    L: tuple[float, ...]
+    tests_lit: bool
+    accuracy: Accuracy
 
 
 class Structures:
@@ -16,21 +43,13 @@ class Structures:
     scene     ``scene.Scene``
     cache     ``core.cache.Cache``
     accuracy  ``tolerances.Accuracy``
+
+    ``fewer_facets``: a set, of which bodies facets are fewer than other cells of light, and at which error.
     """
 
     def __init__(self, scene, cache, accuracy):
         self.scene, self.cache, self.accuracy = scene, cache, accuracy
-
-    def records(self, body):
-        """The packed triangles of a boundary, and maybe others."""
-        if body.stands_for is None:
-            return self.scene.records
-        key = self.records_key(body)
-        return self.cache.once(lambda: triangle.Patches(arrays.array(mi.Float, body.packed())), key)
-
-    def records_key(self, body):
-        """What ``records`` are made from."""
-        return self.scene.records_key if body.stands_for is None else RecordsKey((body.key,))
+        self.fewer_facets = set()
 
     def once(self, kind, make, body):
         """What ``make()`` makes of the triangles of a boundary, once.
@@ -39,7 +58,7 @@ class Structures:
         make  called without arguments
         body  ``scene.boundaries.Body``
         """
-        return self.cache.once(make, TreeKey(kind, self.records_key(body), body.first_record))
+        return self.cache.once(make, TreeKey(kind, self.scene.records_key, body.first_record))
 
     def order(self, body):
         """Triangles (UInt32, numbers among the records) of a boundary in the order in which trees take them."""
@@ -51,7 +70,6 @@ class Structures:
         return self.once("order", make, body)
 
     def clearance(self, body):
-        """``Clearance`` of the mesh of a boundary itself, which no coarser one stands for."""
-        body = body.stands_for or body
+        """``Clearance`` of a boundary."""
         corners = body.corners - body.centre
         return self.once("clearance", lambda: Clearance(self.scene.records, body.first_record, corners), body)

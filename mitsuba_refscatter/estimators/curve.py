@@ -27,6 +27,7 @@ import mitsuba as mi
 from .. import optics, tolerances
 from ..culling import beam as light_beam
 from ..geometry.interval import gauss_legendre, positive_part
+from .beam_curve import BeamCurve
 from .chord import chord_of, limits_at, meeting
 from .pair_data import PairData
 from .protocol import Estimator
@@ -65,8 +66,7 @@ def _evaluate(pair, uv, D):
     tri, eta, light, segment = pair.tri, pair.illumination.eta, pair.illumination.light, pair.segment
     P = tri.position(uv.x, uv.y)
     n, d_n = tri.normal_derivative(uv.x, uv.y, D.x, D.y)
-    P_u, P_v = tri.tangents(uv.x, uv.y)
-    d_P = P_u * D.x + P_v * D.y
+    d_P = tri.P_u * D.x + tri.P_v * D.y
     omega_L, d_L = light.seen_from(P)
     d_omega_L = light.direction_change(omega_L, d_L, d_P)
     omega, c_L, c_V = optics.refract_in(omega_L, n, eta)
@@ -74,7 +74,7 @@ def _evaluate(pair, uv, D):
     across = dr.cross(P - segment.o, segment.d)
     g = dr.dot(omega, across)
     slope = dr.dot(d_omega, across) + dr.dot(omega, dr.cross(d_P, segment.d))
-    return CurvePoint(uv, P, dr.cross(P_u, P_v), omega_L, omega, c_L, c_V, d_L, slope, g)
+    return CurvePoint(uv, P, dr.cross(tri.P_u, tri.P_v), omega_L, omega, c_L, c_V, d_L, slope, g)
 
 
 @dataclass
@@ -113,7 +113,7 @@ def _clip(limits, tau0, tau1):
 class Curve(Estimator):
     """Exact integration over the light's side, to float32 where ``tolerance`` is 0."""
 
-    takes_coarse_meshes = True
+    of_beams = BeamCurve()
 
     def classify(self, piece, segment):
         """The zeros of g."""
@@ -137,12 +137,12 @@ class Curve(Estimator):
             return pair.visible(point.P, (point.uv.x, point.uv.y), point.omega, s, active), False
 
         if illumination.shadowless or not culling.for_one_light or pairs.tau0 is not None:
-            return pairs.gather(dr.compress(_accumulate(sums, data(pairs), accuracy, rays)[1]))
+            return pairs.gather(dr.compress(_accumulate(sums, data(pairs), accuracy, rays)[1])).cut(tolerances.CUT)
         is_open, cut = _accumulate(sums, data(pairs), accuracy, proof)
         open_pairs = dr.compress(is_open)
         if dr.width(open_pairs) > 0:
             _accumulate(sums, data(pairs.gather(open_pairs)), accuracy, rays)
-        return pairs.gather(dr.compress(cut))
+        return pairs.gather(dr.compress(cut)).cut(tolerances.CUT)
 
 
 def part_of(pair, chord, ends, newton):
@@ -206,7 +206,7 @@ def _accumulate(sums, pair, accuracy, shadow):
     """
     segment, sigma_t, illumination = pair.segment, pair.sigma_t, pair.illumination
     chord, ends = chord_of(pair)
-    newton = max(accuracy.newton, 1) if pair.tri.curved else accuracy.newton
+    newton = accuracy.newton
     part = part_of(pair, chord, ends, newton)
     width = dr.maximum(part.end - part.start, 0)
     cutting = _cutting(pair, chord, part, width, accuracy.clip)

@@ -59,7 +59,7 @@ class Target:
     """
 
     body: Body
-    records: mi.Float | triangle.Patches
+    records: mi.Float
     triangles: mi.DiscreteDistribution
     flux: float
 

@@ -39,14 +39,17 @@ class Estimator(ABC):
     samples_field: str | None = None
     """The field of ``tolerances.Accuracy`` that the option ``samples`` sets, or None where it has no meaning."""
 
-    takes_coarse_meshes = False
-    """Whether the error of a coarser mesh is all that it adds, so that it may be measured."""
+    of_beams: Estimator | None = None
+    """The same on light beams whose error follows the tolerance, or None where there is none."""
 
     draws = False
     """Whether it draws random numbers."""
 
     finds_sent_back = False
     """Whether it finds light that a point at the camera sends straight back."""
+
+    def __init_subclass__(cls):
+        cls.of_beams = cls.__dict__.get("of_beams")  # of its own: what another class does there it does not
 
     def queries(self, _segments, _illumination, _accuracy, _seed) -> Iterator[Query] | None:
         """The ``Query`` of sample points that stand for camera segments, chunk by chunk; None where there are none.

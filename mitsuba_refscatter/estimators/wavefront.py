@@ -33,12 +33,28 @@ class Counts:
     leaves      (segment, leaf) pairs that the trees' traversal found
     samples     camera samples
     unresolved  those samples of which light paths that were not found bring more than the tolerance of their radiance
+    radiance    sum of all that was found
+    errors      what of it may be wrong, by light: one that is the same in all passes, or one of a pass
     """
 
     segments: int = 0
     leaves: int = 0
     samples: int = 0
     unresolved: int = 0
+    radiance: float = 0.0
+    errors: dict = field(default_factory=dict)
+
+    def found(self, light, radiance, estimate):
+        """Adds radiance (float) of a light, of which the share ``estimate`` may be wrong. ``light``: a key, or None
+        for one whose errors no other shares."""
+        self.radiance += radiance
+        light = len(self.errors) if light is None else ("the same", light)
+        self.errors[light] = self.errors.get(light, 0.0) + estimate * radiance
+
+    @property
+    def estimated_error(self):
+        """Relative L1 error that is expected of the image: errors of different lights are independent."""
+        return sum(x * x for x in self.errors.values()) ** 0.5 / self.radiance if self.radiance > 0 else 0.0
 
     def add(self, other):
         """Adds the work of another render."""
@@ -278,14 +294,14 @@ class Work:
         todo = [pairs]
         while todo:
             part = todo.pop()
-            if len(part) > tolerances.PIECES and part.tau0 is not None:
+            if len(part) > tolerances.PIECES and (part.tau0 is not None or part.code is not None):
                 todo += part.halves()
             elif len(part) > 0:
                 rest = self.estimator.accumulate(
                     self.sums, part, self.segments, self.culling, self.illumination, self.accuracy
                 )
                 if rest is not None and len(rest) > 0:
-                    todo.append(rest.cut(tolerances.CUT))
+                    todo.append(rest)
 
     def refine(self, pairs):
         """Cuts the beams of ``pairs`` into parts until g is close to linear on them, and solves these."""

@@ -29,9 +29,9 @@ def lights_at_the_camera(scene, ends):
     """Sentences about the lights that are where camera rays come from: of what these send straight back most
     estimators find little. ``ends``: origins and directions of the first and the last ray, (2, 3) each."""
     return [
-        f"{name} is at the camera: of what it sends straight back most is not found. Move it aside by "
+        f"{emitter.name} is at the camera: of what it sends straight back most is not found. Move it aside by "
         f'{2 * tolerances.AT_CAMERA:g} of its distance from the body, or set estimator to "point"'
-        for name in scene.lights_at(*ends)
+        for emitter in scene.lights_at(*ends, tolerances.AT_CAMERA)
     ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import drjit as dr
 import mitsuba as mi
 
 from .. import tolerances
@@ -17,6 +18,7 @@ from ..estimators import ESTIMATORS, unrefracted, wavefront
 from ..estimators.protocol import Estimator
 from ..light.illumination import Illumination, illuminate, shadows
 from ..scene import Scene, parameters, read
+from ..scene.media import visible
 
 
 @dataclass
@@ -27,12 +29,14 @@ class Prepared:
     given          Mitsuba's scene, as it was given
     accuracy       what the tolerance decides
     estimator      how light is summed
-    culling        how triangles are found: the class
+    culling        how light beams, or triangles, are found: the class
+    on_triangles   (estimator, culling) that take triangles themselves
     light_samples  light samples per pass of emitters that are not one point or direction
     cache          for what other renders use, too
     structures     over the triangles of the scene's boundaries
     sequence       of random numbers for light samples; None where none must be drawn
     made           what was made in this render, by keys that need not name the scene, the camera or options
+    near           indices of emitters next to the camera
     """
 
     scene: Scene
@@ -40,11 +44,13 @@ class Prepared:
     accuracy: tolerances.Accuracy
     estimator: Estimator
     culling: type[Culling]
+    on_triangles: tuple[Estimator, type[Culling]]
     light_samples: int
     cache: Cache
     structures: Structures
     sequence: Sequence | None
     made: dict = field(default_factory=dict)
+    near: set = field(default_factory=set)
 
     def once(self, make, *key):
         """What ``make()`` makes in this render at the first use of ``key``."""
@@ -56,9 +62,9 @@ class Prepared:
         """``unrefracted.angle_panels`` of a region's phase function."""
         return self.once(lambda: unrefracted.angle_panels(region.phase, self.accuracy), "panels", region.index)
 
-    def pace(self, body):
-        """``wavefront.Pace`` for a boundary."""
-        return self.once(wavefront.Pace, "pace", body.index, body.key)
+    def pace(self, body, number=0):
+        """``wavefront.Pace`` for a boundary and segments of a class, of that ``number``."""
+        return self.once(wavefront.Pace, "pace", body.index, body.key, number)
 
     def parameters(self):
         """Digest of all that can be changed in the scene."""
@@ -66,7 +72,17 @@ class Prepared:
 
     def shadows(self, body, sample):
         """``visibility.Shadows`` of a ``LightSample`` at a boundary."""
-        return shadows(self.scene, body, self.structures.records(body), sample, self.accuracy.samples_visibility)
+        return shadows(self.scene, body, self.scene.records, sample, self.accuracy.samples_visibility)
+
+    def method(self, emitter, body):
+        """(Estimator, class of culling) for the light of an ``Emitter`` that a boundary refracts."""
+        exact = emitter.index in self.near or self.once(lambda: self._is_dense(body), "dense", body.inside)
+        return self.on_triangles if exact else (self.estimator, self.culling)
+
+    def _is_dense(self, body):
+        """Whether nothing of the medium behind a boundary is seen but next to it."""
+        _, sigma_t = self.scene.regions[body.inside].coefficients(visible(), mi.Vector3f(0, 0, 1))
+        return bool(dr.all(sigma_t * body.size > tolerances.DENSE)[0])
 
     def culled(self, body, sample, emitter):
         """``(Shadows, Culling)`` of a ``LightSample`` of an ``Emitter`` at a boundary; the culling is None if
@@ -74,18 +90,20 @@ class Prepared:
 
         def make():
             found = self.shadows(body, sample)
-            return found, self.culling.of(body, found, self.structures, emitter.drawn)
+            culling = self.method(emitter, body)[1]
+            return found, culling.of(body, found, self.structures, self.light_samples if emitter.drawn else 0)
 
         return make() if emitter.drawn else self.once(make, "culled", body.index, body.key, emitter.index)
 
     def illuminated(self, body, region, sample, emitter, wavelengths=None):
         """``(Illumination, Culling)`` of a ``LightSample`` of an ``Emitter`` at a boundary of a region."""
         found, culling = self.culled(body, sample, emitter)
-        return self.illumination(body, region, sample, found, wavelengths), culling
+        apart = 0.0 if culling is None else max(one.apart for _, one in culling.by_share())
+        return self.illumination(body, region, sample, found, wavelengths, apart=apart), culling
 
-    def illumination(self, body, region, sample, shadows, wavelengths=None) -> Illumination:
-        """``Illumination`` of a boundary by a ``LightSample``."""
-        return illuminate(self.scene, body, region, sample, shadows, wavelengths)
+    def illumination(self, body, region, sample, shadows, wavelengths=None, *, apart=0.0) -> Illumination:
+        """``Illumination`` of a boundary by a ``LightSample``; ``apart``: that of a culling."""
+        return illuminate(self.scene, body, region, sample, shadows, wavelengths=wavelengths, apart=apart)
 
 
 def prepare(scene, options, cache, seed, straight=False, changes=None):
@@ -103,9 +121,13 @@ def prepare(scene, options, cache, seed, straight=False, changes=None):
     accuracy = replace(tolerances.accuracy(options.tolerance), **(changes or {}))
     if options.samples:
         accuracy = replace(accuracy, **{estimator.samples_field: options.samples}, adapts=False)
+    culling = CULLINGS[options.culling]
+    on_triangles = estimator, culling
+    if accuracy.cells > 0 and estimator.of_beams is not None and culling.of_beams is not None:
+        estimator, culling = estimator.of_beams, culling.of_beams
     drawn = any(emitter.drawn for emitter in records.emitters)
     return Prepared(
-        scene=records, given=scene, accuracy=accuracy, estimator=estimator, culling=CULLINGS[options.culling],
+        scene=records, given=scene, accuracy=accuracy, estimator=estimator, culling=culling, on_triangles=on_triangles,
         light_samples=options.light_samples, cache=cache, structures=Structures(records, cache, accuracy),
         sequence=Sequence(seed()) if drawn else None,
     )  # fmt: skip

@@ -90,6 +90,10 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
     refracts = True
     """Whether light that is refracted is solved for."""
 
+    estimated_error = None
+    """Relative L1 error of single scattering that the last render expects of itself, but for exact triangles, where it
+    is 0. None before the first, and where light is not solved for."""
+
     def __init__(self, props):
         super().__init__(props)
         platform.require_usable(mi.variant())
@@ -140,6 +144,7 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
             frame = film.Frame(sensor, seed, spp, sequence, most, self.aov_names(), hooks.progress, hooks.watch)
             render_pass = self._pass(prepared, sensor.get_medium(), hooks.counts, whole=True, silent=hooks.silent)
             image = film.render(render_pass, frame, develop, evaluate)
+            self.estimated_error = hooks.counts.estimated_error if self.refracts else None
             self.messages.warn(messages.unresolved(hooks.counts, self.options.tolerance))
             return image
 

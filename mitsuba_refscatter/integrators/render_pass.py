@@ -62,7 +62,7 @@ class RenderPass:
         ray, wanted = mi.Ray3f(ray), options.aov_list(self.options)
         self._warn_of_missing_light(ray)
         paths = self._trace(sampler, ray, active)
-        self._warn_of_lights_at_the_camera(ray, paths)
+        self._look_at_lights_at_the_camera(ray, paths)
         single = self._single_scattering(paths, sampler, ray, batch, progress)
         unresolved = single.unresolved > dr.opaque(mi.Float, self.options.tolerance) * dr.max(single.value)
         self.counts.saw(dr.width(ray), unresolved)
@@ -96,14 +96,20 @@ class RenderPass:
         if self._tells(dr.width(ray)):
             prepared.once(lambda: self.messages.warn(self.missing(prepared.scene)), "missing in media")
 
-    def _warn_of_lights_at_the_camera(self, ray, paths):
-        """Says what will not be found, where light that is refracted is solved for."""
+    def _look_at_lights_at_the_camera(self, ray, paths):
+        """Says what will not be found, and takes triangles for lights next to it, where light that is refracted is
+        solved for."""
         prepared, scene = self.prepared, self.prepared.scene
         met = any(region.boundaries and paths.parts[region.index] for region in scene.regions)
-        if self.refracts and met and not prepared.estimator.finds_sent_back:
-            prepared.once(
-                lambda: self.messages.warn(messages.lights_at_the_camera(scene, _ends(ray))), "lights at the camera"
-            )
+        if not (self.refracts and met) or prepared.estimator.finds_sent_back:
+            return
+
+        def look():
+            ends = _ends(ray)
+            self.messages.warn(messages.lights_at_the_camera(scene, ends))
+            prepared.near = {emitter.index for emitter in scene.lights_at(*ends, tolerances.NEXT_TO_CAMERA)}
+
+        prepared.once(look, "lights at the camera")
 
     def _single_scattering(self, paths, sampler, ray, batch, progress):
         """``Sums`` of the light that scatters once along the segments."""

@@ -4,13 +4,14 @@ segments."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from .. import tolerances
+from ..core import arrays
 from ..core.sobol import Batch
 from ..estimators import unrefracted, wavefront
 from ..estimators.accumulator import Sums
@@ -19,7 +20,6 @@ from ..scene import holds
 from ..scene.boundaries import boxes_meet
 from ..transport import visibility
 from ..transport.transmittance import Transmittance
-from .mesh_choice import choose
 
 
 @dataclass
@@ -53,6 +53,7 @@ def scatter(prepared, paths, samples, counts, refracted=True):
     scene, n = prepared.scene, dr.width(samples.ray)
     single = Sums.nothing(n, samples.detail)
     along = [(region, paths.segments(region)) for region in scene.regions if paths.parts[region.index]]
+    along = _with_shares(along, n)
     shared = prepared.light_samples if prepared.culling.for_one_light else 0
     shares = light_samples.shares(
         scene.emitters, prepared.sequence, shared, samples.batch, n, samples.ray.wavelengths
@@ -66,30 +67,66 @@ def scatter(prepared, paths, samples, counts, refracted=True):
             run = wavefront.Run(
                 prepared.accuracy, seed=samples.seed + i, detail=samples.detail, progress=samples.progress
             )
-            counts.add(_refracted(prepared, region, share, taken, single, run.part(i / len(work), (i + 1) / len(work))))
+            run = run.part(i / len(work), (i + 1) / len(work))
+            _refracted(prepared, region, share.emitter, taken, single, counts, run=run)
         if goes_straight(region, share.emitter, taken[1]):
-            _straight(prepared, region, *taken, single)
+            counts.found(None, _straight(prepared, region, *taken, single), 0.0)
     return single.first(n)
 
 
-def _refracted(prepared, region, share, taken, single, run):
+def _with_shares(along, n):
+    """Regions and ``CameraSegments`` with what each segment holds of its camera sample, as if all media were lit
+    evenly. ``n``: number of camera samples."""
+    brings, total = [], dr.zeros(mi.Float, arrays.room(n))
+    for region, segments in along:
+        sigma_s, sigma_t = region.coefficients(segments.wavelengths, segments.direction)
+        lit = dr.max(segments.weight * sigma_s * segments.length / (1 + sigma_t * segments.length))  # as 1 - exp
+        dr.scatter_add(total, lit, segments.sample)
+        brings.append(lit)
+    dr.eval(total, brings)
+    return [
+        (region, replace(segments, share=x / dr.maximum(dr.gather(mi.Float, total, segments.sample), 1e-30)))
+        for (region, segments), x in zip(along, brings)
+    ]
+
+
+def _refracted(prepared, region, emitter, taken, single, counts, *, run):
     """Adds light that comes in through the region's refracting boundaries. ``taken``: segments, their light samples
-    and the intensities of these. Returns the ``Counts`` of the work."""
+    and the intensities of these. The work is added to ``counts``."""
     segments, sample, value = taken
-    sigma_s, sigma_t = region.coefficients(segments.wavelengths, segments.direction)
-    counts = wavefront.Counts()
-    for boundary in region.boundaries:
-        body = choose(prepared, boundary, region, share, segments, sigma_t)
-        illumination, culling = prepared.illuminated(body, region, sample, share.emitter, segments.wavelengths)
+    for body in region.boundaries:
+        illumination, culling = prepared.illuminated(body, region, sample, emitter, segments.wavelengths)
         if culling is None:
             continue
-        run.pace = prepared.pace(body)
-        local = segments.from_boundary(body.centre, sigma_t)
-        sums, more = wavefront.scatter(local, culling, illumination, prepared.estimator, run)
-        counts.add(more)
-        tint = body.tint("specular_transmittance", segments.wavelengths)
-        single.add_all(sums, segments.weight * sigma_s * value * tint, segments.sample)
-    return counts
+        parts = _by_share(culling, segments)
+        for k, (one, index) in enumerate(parts):
+            some = replace(run.part(k / len(parts), (k + 1) / len(parts)), pace=prepared.pace(body, k))
+            few, there = (segments, illumination) if index is None else (segments.gather(index), illumination.at(index))
+            sigma_s, sigma_t = region.coefficients(few.wavelengths, few.direction)
+            local = few.from_boundary(body.centre, sigma_t)
+            sums, more = wavefront.scatter(local, one, there, prepared.method(emitter, body)[0], some)
+            counts.add(more)
+            tint = body.tint("specular_transmittance", few.wavelengths)
+            weight = few.weight * sigma_s * (value if index is None else arrays.of(value, index)) * tint
+            found = float(dr.sum(dr.mean(weight * sums.value))[0]) if one.estimate > 0 else 0.0
+            counts.found(None if emitter.drawn else (emitter.index, body.index), found, one.estimate)
+            single.add_all(sums, weight, few.sample)
+
+
+def _by_share(culling, segments):
+    """A light's cullings, with the numbers (UInt32) of the segments that each is for; None for all of them."""
+    parts, below = [], np.inf
+    cullings = culling.by_share()
+    if len(cullings) == 1:
+        return [(cullings[0][1], None)]
+    for least, one in cullings:
+        index = dr.compress(
+            (segments.share >= dr.opaque(mi.Float, least)) & (segments.share < dr.opaque(mi.Float, below))
+        )
+        below = least
+        if dr.width(index) > 0:
+            parts.append((one, index))
+    return parts
 
 
 def goes_straight(region, emitter, sample):
@@ -104,7 +141,7 @@ def goes_straight(region, emitter, sample):
 
 
 def _straight(prepared, region, segments, sample, value, single):
-    """Adds light that comes straight."""
+    """Adds light that comes straight. Returns the sum of it."""
     scene = prepared.scene
     sigma_s, sigma_t = region.coefficients(segments.wavelengths, segments.direction)
     at = region.body.centre if region.body is not None else [0.0, 0.0, 0.0]
@@ -122,8 +159,11 @@ def _straight(prepared, region, segments, sample, value, single):
     )  # fmt: skip
     angles = 0 if sample.distant else prepared.angle_panels(region)
     total = unrefracted.scatter(segments.off_boundary(at, sigma_t), light, prepared.accuracy, angles)
-    dr.scatter_add(single.value, segments.weight * sigma_s * value * total, segments.sample)
-    single.eval()
+    total *= segments.weight * sigma_s * value
+    dr.scatter_add(single.value, total, segments.sample)
+    found = dr.sum(dr.mean(total))
+    single.eval(found)
+    return float(found[0])
 
 
 def _nothing_between(scene, region):

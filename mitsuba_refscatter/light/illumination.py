@@ -11,6 +11,7 @@ import mitsuba as mi
 from .. import optics, tolerances
 from ..core import arrays
 from ..scene.boundaries import Body
+from ..scene.media import visible
 from ..transport.transmittance import Transmittance
 from ..transport.visibility import Shadows
 from .light_samples import Cosine, IntensityProfile
@@ -107,12 +108,14 @@ class Arrival:
     light          in body coordinates
     transmittance  of the way
     boundary       the ``Body``
+    apart          how far points may be from it, units of the scene
     """
 
     inner: Cosine | IntensityProfile | None
     light: optics.LocalLight
     transmittance: Transmittance
     boundary: Body
+    apart: float
 
     has_rim = False
 
@@ -126,7 +129,7 @@ class Arrival:
         # Off the boundary on the light's side: the way is longer by nothing that matters.
         body = self.boundary
         start = mi.Point3f(P) + dr.opaque(mi.Point3f, body.centre)
-        start += omega_L * dr.opaque(mi.Float, tolerances.ARRIVAL_OFFSET * body.extent + 2 * body.apart)
+        start += omega_L * dr.opaque(mi.Float, tolerances.ARRIVAL_OFFSET * body.extent + self.apart)
         distance = tolerances.ENDLESS if self.light.distant else d_L * (1 - tolerances.SHADOW_END)
         left, _ = self.transmittance.follow(start, omega_L, distance, dr.opaque(mi.UInt32, body.outside))
         return left if self.inner is None else left * self.inner(P, omega_L, d_L)
@@ -135,18 +138,21 @@ class Arrival:
 def shadows(scene, body, records, sample, sampled):
     """``visibility.Shadows`` of a ``LightSample`` at a boundary, whose triangles are among ``records``;
     ``sampled``: whether what is lit may be judged by samples."""
-    incidence = _incidence(body, sample, dr.opaque(mi.Point3f, body.centre))
+    centre = dr.opaque(mi.Point3f, body.centre)
+    incidence = _incidence(body, sample, centre)
     dr.eval(incidence.light.L)
-    return Shadows(scene, body, records, incidence, sample.shape, sampled)
+    emission = sample.emission(centre, visible())
+    return Shadows(scene, body, records, incidence, emitter=sample.shape, sampled=sampled, emission=emission)
 
 
-def illuminate(scene, body, region, sample, shadows, wavelengths=None):
+def illuminate(scene, body, region, sample, shadows, *, wavelengths=None, apart=0.0):
     """``Illumination`` of a boundary by a ``LightSample``; ``region``: that behind it; ``shadows``:
-    ``visibility.Shadows`` of such a sample; ``wavelengths``: of the camera segments."""
+    ``visibility.Shadows`` of such a sample; ``wavelengths``: of the camera segments; ``apart``: how far from it its
+    points may be."""
     centre = dr.opaque(mi.Point3f, body.centre)
     incidence, emission = _incidence(body, sample, centre), sample.emission(centre, wavelengths)
     if scene.through_media(body):
-        emission = Arrival(emission, incidence.light, Transmittance(scene, wavelengths), body)
+        emission = Arrival(emission, incidence.light, Transmittance(scene, wavelengths), body, apart)
     return Illumination(
         light=incidence.light,
         eta=incidence.eta,

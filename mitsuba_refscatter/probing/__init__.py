@@ -17,8 +17,9 @@ from ..integrators.prepared import prepare
 from ..light import light_samples
 from ..scene import refuse_gradients, region_of_camera
 from ..transport import camera_paths
+from .beams import light_beams
 from .curves import curve_of, peaks
-from .records import Boundary, Curve, Light, PointSamples, Probe, Segment, Triangles
+from .records import Boundary, Curve, Light, LightCells, PointSamples, Probe, Segment, Triangles
 
 
 class ProbeError(ValueError):
@@ -46,7 +47,7 @@ def probe(
     segment           number of the ray's segment in regions that scatter, the one with the largest weight first
     parts             equal ones of the segment over which the total is averaged, >= 2
     samples           of the estimator ``point``, >= 1
-    tolerance         as of the integrator; but no coarser mesh takes a body's place, and roots are exact to float32
+    tolerance         as of the integrator, for the light beams that are shown; along the ray triangles are exact
     internal_bounces  as of the integrator
     culling           as of the integrator
 
@@ -78,7 +79,9 @@ def probe(
                 f"it has {len(segments)}, counted from 0"
             )
         one = _Along(prepared, places[segment], paths, ray, parts)
-        return _probe((x, y), segments, segment, one, samples, left_out)
+        found = _probe((x, y), segments, segment, one, samples, left_out)
+        found.beams = light_beams(scene, tolerance) if tolerance > 0 and culling == "beams" else []
+        return found
 
 
 def _check(scene, sensor, parts, samples):
@@ -98,7 +101,7 @@ def _prepared(scene, tolerance, internal_bounces, culling):
 
     It has those of the lights that are one point or direction.
     """
-    changes = {"newton": tolerances.accuracy(0.0).newton, "coarse": 0.0, "samples_visibility": False}
+    changes = {"newton": tolerances.accuracy(0.0).newton, "samples_visibility": False, "cells": 0.0}
     chosen = options.Options(
         tolerance=float(tolerance), internal_bounces=internal_bounces, culling=culling, surfaces=False
     )
@@ -269,8 +272,9 @@ def _probe(pixel, segments, number, one, samples, left_out):
         unresolved=unresolved / max(integral.sum(), 1e-30), peaks=peaks(distance, total), curve=curve,
         triangles=triangles, samples=one.samples(samples), left_out=left_out,
         lights=[Light(emitter.name, _numbers(emitter.place.L)[0], emitter.place.distant) for emitter in scene.emitters],
-        boundaries=[Boundary(body.name, body.corners) for body in one.region.boundaries],
+        boundaries=[Boundary(body.name, body.corners) for body in one.region.boundaries], beams=[],
     )  # fmt: skip
 
 
-__all__ = ["Boundary", "Curve", "Light", "PointSamples", "Probe", "ProbeError", "Segment", "Triangles", "probe"]
+__all__ = ["Boundary", "Curve", "Light", "LightCells", "PointSamples", "Probe", "ProbeError", "Segment", "Triangles",
+           "light_beams", "probe"]  # fmt: skip

@@ -125,6 +125,24 @@ class Triangles:
 
 
 @dataclass
+class LightCells:
+    """The n light beams of one light in one boundary, as cells of it.
+
+    light     name
+    boundary  name
+    nodes     (n, 6, 3), corners and middles of the edges 01, 12, 20, world
+    flux      (n,), of a light of intensity 1
+    estimate  relative L1 error of the image that they expect
+    """
+
+    light: str
+    boundary: str
+    nodes: np.ndarray
+    flux: np.ndarray
+    estimate: float
+
+
+@dataclass
 class Probe:
     """Single scattering along one segment of a camera ray.
 
@@ -145,6 +163,7 @@ class Probe:
     lights      those that are summed
     left_out    names of lights that are not one point or direction, and not summed
     boundaries  of the segment's region
+    beams       ``LightCells`` of the lights, at the probe's tolerance; none at 0
     """
 
     pixel: tuple[int, int]
@@ -164,3 +183,4 @@ class Probe:
     lights: list[Light]
     left_out: list[str]
     boundaries: list[Boundary]
+    beams: list[LightCells]

@@ -43,7 +43,7 @@ def write(probe: Probe, path: str | Path) -> None:
             figure.add_trace(_mesh(graph_objects, boundary.corners[near], name))
             ends += [f(boundary.corners[near], axis=(0, 1)) for f in (np.min, np.max)]
     farthest = OUTSIDE * np.linalg.norm(np.ptp(np.clip(ends, low, high), axis=0))
-    for line in (*_camera_ray(probe, farthest), *_light_paths(probe, farthest), *_curve(probe)):
+    for line in (*_beams(probe), *_camera_ray(probe, farthest), *_light_paths(probe, farthest), *_curve(probe)):
         figure.add_trace(graph_objects.Scatter3d(**line))
     figure.write_html(path, include_plotlyjs=True, config={"displaylogo": False})
 
@@ -114,6 +114,14 @@ def _line(name, lines, colour, width):
     """Lines (n, k, 3) of one name, as plotly takes them."""
     style = {"color": colour, "width": width}
     return {**_polylines(lines), "mode": "lines", "name": name, "line": style, "hoverinfo": "name"}
+
+
+def _beams(probe):
+    """Outlines of the cells of light beams, hidden until they are asked for in the legend."""
+    for cells in probe.beams:
+        lines = cells.nodes[:, [0, 3, 1, 4, 2, 5, 0]]
+        name = f"{len(lines)} light beams of {cells.light}"
+        yield {**_line(name, lines, "#5b7fa6", 1), "visible": "legendonly"}
 
 
 def _camera_ray(probe, farthest):

@@ -45,9 +45,6 @@ class Body:
     tints           textures ``specular_transmittance`` and ``specular_reflectance``, where the BSDF has them
     key             what all of this but names, numbers and tints follows from
     faces           (F, 3) indices of vertices with one position and normal each; None where normals are those of facets
-    stands_for      where it has a coarser mesh, of patches, the body
-    bulge           (F, 2, 3, 3), what patches add to linear positions and normals in the middles of edges 01, 12, 20
-    apart           how far the patches are from the boundary that they stand for
     inside          index of the region behind its normals, or NONE
     outside         index of the region before them, or NONE
     """
@@ -73,15 +70,12 @@ class Body:
     tints: dict[str, mi.Texture]
     key: BodyKey
     faces: np.ndarray | None
-    stands_for: Body | None = None
-    bulge: np.ndarray | None = None
-    apart: float = 0.0
     inside: int = NONE
     outside: int = NONE
 
     @property
     def triangle_count(self):
-        """Number of its triangles, or patches."""
+        """Number of its triangles."""
         return len(self.corners)
 
     @property
@@ -90,11 +84,8 @@ class Body:
         return self.kind == "refracts"
 
     def packed(self):
-        """Its triangles, or patches, as records of ``geometry.triangle``."""
-        own = (self.corners - np.array(self.centre), self.corner_normals, self.normals)
-        if self.bulge is None:
-            return triangle.pack(*own)
-        return triangle.pack_patches(*own, self.bulge[:, 0], self.bulge[:, 1])
+        """Its triangles as records of ``geometry.triangle``."""
+        return triangle.pack(self.corners - np.array(self.centre), self.corner_normals, self.normals)
 
     def tint(self, what, wavelengths):
         """The constant factor ``specular_transmittance`` or ``specular_reflectance``; 1 where the BSDF has none."""

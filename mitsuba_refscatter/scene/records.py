@@ -8,7 +8,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import tolerances
 from ..core.arrays import NONE
 from ..core.cache import RecordsKey
 from .boundaries import Body
@@ -76,20 +75,16 @@ class Scene:
         """Index of the body of each shape pointer, or NONE; a null pointer is no body."""
         return dr.gather(mi.UInt32, self.body_of_shape, dr.reinterpret_array(mi.UInt32, shape))
 
-    def lights_at(self, o, d):
-        """Names of the lights that are points where camera rays (``o``, ``d``: (n, 3)) all come from, seen from
-        some body."""
-        points = {
-            emitter.name: np.ravel(emitter.place.L)
-            for emitter in self.emitters
-            if not emitter.drawn and not emitter.place.distant
-        }
+    def lights_at(self, o, d, share):
+        """Emitters that are points where camera rays (``o``, ``d``: (n, 3)) all come from, seen from some body: nearer
+        than ``share`` of the way there."""
+        points = [emitter for emitter in self.emitters if not emitter.drawn and not emitter.place.distant]
         ways = [
             np.linalg.norm(np.maximum(0, np.maximum(low - o[0], o[0] - high)))
             for low, high in (b.box for b in self.bodies)
         ]
-        near = tolerances.AT_CAMERA * min(ways, default=0)
-        return [name for name, L in points.items() if (np.linalg.norm(np.cross(o - L, d), axis=1) < near).all()]
+        near = share * min(ways, default=0)
+        return [x for x in points if (np.linalg.norm(np.cross(o - np.ravel(x.place.L), d), axis=1) < near).all()]
 
     def through_media(self, body):
         """Whether light comes to a boundary through a medium or straight through other boundaries."""

@@ -1,14 +1,14 @@
 """Every threshold of what renders: its name, unit and reason.
 
-``meshes`` has those of boundaries, ``tiers`` what the option ``tolerance`` selects; all are names of this package.
+``meshes`` has those of boundaries, ``accuracy`` what the option ``tolerance`` selects; all are names of this package.
 
 No other module of the renderer holds one, but 1e-30 for a divisor that must not be 0. Options stand in ``options.py``.
 Tools (``benchmarks``, ``probing`` and others) name their own settings at the head of their modules.
 ``tests/test_thresholds_have_one_home.py`` holds this.
 """
 
+from .accuracy import Accuracy, accuracy
 from .meshes import *
-from .tiers import TIERS, Accuracy, accuracy
 
 SHADOW_OFFSET = 2e-6
 """Relative to the body's largest coordinate: how far shadow rays start off the surface. float32 rounds
@@ -32,6 +32,14 @@ FROM_ELSEWHERE = 0.01
 """Share of the camera's first hits from a side of boundaries where another medium is than the sensor names.
 
 Above it a scene is refused."""
+
+NEXT_TO_CAMERA = 0.05
+"""Distance of a light from the camera, relative to that of a body, below which triangles are taken themselves: camera
+rays are nearly along its light, and where they meet follows from the last digits of both."""
+
+DENSE = 64.0
+"""Optical depth of a body's size above which triangles are taken themselves: all light is next to the boundary, where
+the error of beams is not what it is further on."""
 
 OPAQUE = 20.0
 """Optical depth behind which nothing is seen of a medium: 2e-9 of the light is left."""
@@ -130,10 +138,13 @@ SHORTEST = 1.5 / CUT**3
 NEAR = 0.2
 """Largest edge of a beam's triangle relative to its distance from the light: the light's 1/d^2 is then good to 1e-3."""
 
-PARTLY_LIT = 0.02
+PARTLY_LIT = 0.005
 """Largest edge of a beam's triangle relative to the body's size, of beams that are not proven to be wholly lit.
 
 A shadow is seen by a sample or two on each, and would have the form of their edges."""
+
+EVENLY_SENT = 0.95
+"""Least that a light sends to a place on a triangle relative to the most there, or its beams are as small."""
 
 TURN = 0.3
 """Largest difference between the refracted directions at the corners of a beam, in radians: the cosines and the
@@ -339,3 +350,42 @@ ROULETTE_DEPTH = 5
 
 ROULETTE_MOST = 0.95
 """The largest probability to go on."""
+
+
+# Light beams
+
+INWARDS = 1e-3
+"""Share of its way to the middle of a cell by which rays start inside of its edge: there is more than one facet."""
+
+LOOSER = 4.0, 16.0
+"""Errors of light beams for camera segments that hold little of their camera sample, relative to those for others."""
+
+SHARES = 0.25, 0.03, 0.0
+"""Least share of its camera sample that a segment holds for beams of the least error, and for those of ``LOOSER``."""
+
+FEWER_CELLS = 0.8
+"""Cells relative to the triangles that face the light above which these are taken as first cells."""
+
+MOST_CELLS = 500_000
+"""Cells of light that are looked at, at most: bounds their memory, 0.4 GiB. Then the error stays larger."""
+
+ASTRAY = 2.0
+"""Error of the image per distance of light lines from where they are, relative to the width of their beam."""
+
+SCATTERED = 0.25
+"""Share of errors of the flux density at single places that is left where they have either sign."""
+
+NO_BETTER = 0.5
+"""Error of a quarter of a cell relative to that of the cell from which on cutting does not help: it should be 1/8."""
+
+MIXED = 0.25
+"""Share of a cell's flux that is taken to be wrong where a shadow ends on it."""
+
+RIM_CELL = 2.0**-4
+"""Largest edge of a cell of light, relative to how far light goes, where a light sends nothing into some directions."""
+
+LEAST_CELL = 2.0**-14
+"""Longest edge of a cell of light, relative to how far light goes, below which it is not cut."""
+
+LEFT_OF_ERROR = 0.5
+"""Share of the allowed error that may be left in cells that are not cut: the quarters of others need the rest."""

@@ -67,22 +67,16 @@ SURFACE_NORMAL = 0.99
 FLATTENED = 1e-9
 """Determinant of a transform relative to the product of its columns' lengths below which it has no inverse."""
 
-# Coarser meshes in place of a body's own
+# Coarse meshes whose triangles are the first cells of light beams
 
 COARSE_FEWEST = 1000
-"""Triangles below which a body is taken as it is."""
+"""Triangles below which they are taken as they are."""
 
 COARSE_WORTH = 0.2
-"""Share of the triangles that a coarse body may have at most: a patch costs several times what a triangle does."""
+"""Share of the triangles that a coarse mesh may have at most."""
 
 COARSEST_TURN = 0.85
-"""Turn of the normals (difference between the unit normals at the ends of an edge) in the coarsest body: 50 degrees."""
-
-COARSE_LEVELS = 40
-"""Most coarse bodies, where four more halve the normals' turn: ``FIRST_TURN`` ends them before."""
-
-FIRST_TURN = 2.0
-"""Least turn of the normals along a coarse edge relative to that along the fine ones: less is not worth it."""
+"""Turn of the normals (difference between the unit normals at the ends of an edge) in the coarse mesh: 50 degrees."""
 
 COARSE_LONGEST = 0.125
 """Longest coarse edge relative to the body's size."""
@@ -95,17 +89,8 @@ Four times as far as a circle would be."""
 SLIP = 1e-3
 """How far aside of where it slipped through the boundary a ray is sent, relative to the edge."""
 
-TURN_ERROR = 0.02, 2.0
-"""Least and largest error of an image by a coarse mesh that are reckoned with, per square of its normals' turn."""
-
-COARSE_TRIES = 3
-"""Most meshes whose error is measured to find a suitable one."""
-
-COARSE_SEGMENTS = 2048
-"""Most camera segments on which it is measured."""
-
-COARSE_LEAST = 1e-6
-"""Least relative error that is believed of such a measurement: sums in float32 are not better."""
+COARSER = 0.5
+"""By what power of two the turn of normals grows from one coarse mesh to the next."""
 
 # Taking vertices away
 

@@ -230,6 +230,7 @@ def _record(walk, legs, valid, length):
                     weight=s.weight,
                     sample=s.sample,
                     wavelengths=arrays.of(walk.ray.wavelengths, s.sample),
+                    share=dr.full(mi.Float, 1, len(s)),
                 )
                 walk.paths.parts[region.index].append(found)
 

@@ -23,6 +23,7 @@ class CameraSegments:
     weight       Spectrum, what a unit of radiance at the start is worth to the camera sample
     sample       UInt32, the camera sample
     wavelengths  one set, or one per segment; without components but in spectral variants
+    share        Float, about how much of what its camera sample shows a segment holds, 0 to 1
     """
 
     origin: mi.Point3f
@@ -33,6 +34,7 @@ class CameraSegments:
     weight: mi.Spectrum
     sample: mi.UInt32
     wavelengths: mi.Spectrum
+    share: mi.Float
 
     def __len__(self):
         return dr.width(self.length)

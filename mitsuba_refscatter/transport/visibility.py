@@ -25,15 +25,16 @@ class Shadows:
     way: a convex body does not shadow itself; ``inner_objects``: whether other shapes may be inside. ``incidence``:
     ``optics.Incidence`` of the light, one, for ``seen`` alone; ``emitter``: a shape that the light's points lie
     on, where it is convex: it is not in the way of what it sends. Light that comes to the body through media is
-    followed by ``Transmittance`` instead; ``sampled``: whether what is lit may be judged by samples.
+    followed by ``Transmittance`` instead; ``sampled``: whether what is lit may be judged by samples; ``emission``: what
+    the light sends to P (P, omega_L, d_L), or None where it is the same everywhere.
     """
 
-    def __init__(self, scene, body, records, incidence, emitter, sampled):
+    def __init__(self, scene, body, records, incidence, *, emitter=None, sampled=False, emission=None):
         self.scene, self.body, self.records = scene, body, records
         self.incidence, self.light = incidence, incidence.light
-        self.sampled = sampled
+        self.sampled, self.emission = sampled, emission
         self.centre = dr.opaque(mi.Point3f, body.centre)
-        self.offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * body.extent + body.apart)
+        self.offset = dr.opaque(mi.Float, tolerances.SHADOW_OFFSET * body.extent)
         other_bodies = [other.shape for other in scene.bodies if other.shape is not body.shape]
         self.others = [shape for shape in scene.others if shape is not emitter]
         self.inner_objects = any(meets(body, shape) for shape in scene.others + other_bodies)
@@ -68,6 +69,17 @@ class Shadows:
         # In a closed body the only ones that meet nothing slip through an edge where they come in.
         return dr.select(hit.is_valid(), hit.t, 0 if most is None else most)
 
+    def stop(self, P, Ng, direction, most):
+        """How far light that comes in at P gets, at most ``most`` (Float), and the number of what stops it (UInt32):
+        0 where nothing does."""
+        ray = mi.Ray3f(P - self.offset * Ng + self.centre, direction)
+        ray.maxt = most
+        hit = self.scene.mi_scene.ray_intersect_preliminary(ray)
+        found = hit.is_valid()
+        stop = dr.select(found, dr.reinterpret_array(mi.UInt32, hit.shape) + 1, 0)
+        # In a closed body the only ones that meet nothing slip through an edge where they come in.
+        return dr.select(found, hit.t, 0 if self.body.closed else most), stop
+
     def seen(self, triangles):
         """Of the triangles (UInt32, scene's numbering): which to keep (indices), and which of these are
         proven to be lit everywhere. The others that are proven to be dark everywhere are left out."""
@@ -80,7 +92,7 @@ class Shadows:
         edges = [
             silhouette.silhouette_edges(b.corners, b.normals, b.twin, light, distant)
             for b in (
-                self.body.stands_for or self.body,
+                self.body,
                 *(b for b in self.scene.bodies if b.shape is not self.body.shape),
             )
         ]
