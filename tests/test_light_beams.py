@@ -168,7 +168,7 @@ def test_sums_are_integrals(bend):
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(seed=st.integers(0, 2**31), bend=st.sampled_from([0.0, 0.5, 2.0]))
+@given(seed=st.integers(0, 2**31), bend=st.sampled_from([0.0, 0.25, 0.5]))
 def test_no_beam_is_lost(rgb, seed, bend):
     """Every beam on which g changes its sign, and t and s are right there, is found by the tree and by the test after
     it. Most beams are not."""
@@ -198,7 +198,7 @@ def test_no_beam_is_lost(rgb, seed, bend):
             reaches = (t > 0.1) & (t < t_max[k] - 0.1) & (s > 0.1) & (s < values[3][i].min() - 0.1)
             missing += reaches.any() and (k, i) not in looked_at
     assert missing == 0
-    assert bend > 1 or len(looked_at) < 0.8 * 61 * 48
+    assert len(looked_at) < 0.8 * 61 * 48
 
 
 def smooth_ball(n, tmp_path, **more):
@@ -373,3 +373,22 @@ def test_cells_lie_on_the_body(tmp_path):
         quarters = (a, ab, ca), (ab, b, bc), (ca, bc, c), (bc, ca, ab)
         area = sum(0.5 * np.linalg.norm(np.cross(q - p, r - p), axis=1).sum() for p, q, r in quarters)
         assert 0.98 * cap < area < (1 + more) * cap
+
+
+@pytest.mark.slow
+def test_a_moving_light_does_not_pop(tmp_path):
+    """From frame to frame the image changes as by exact triangles, give or take the tolerance."""
+    body = mesh_shape(meshes.bumpy_sphere(4, 0.1, 4.0), tmp_path / "m.ply")
+    view = mi.ScalarTransform4f().look_at([0.4, 1.1, 5], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 48, "height": 48, "rfilter": {"type": "box"}}
+    sensor = {"type": "perspective", "fov": 40, "to_world": view, "film": film}
+    frames = []
+    for step in range(6):
+        light = point_light((-2.6 + 0.002 * step, 2.4, -0.9 - 0.001 * step))
+        scene = mi.load_dict({"type": "scene", "body": body, "lamp": light, "sensor": sensor}, optimize=False)
+        frames.append([rendered(scene, tolerance)[0] for tolerance in (0.0, 0.01, 0.1)])
+    exact, *others = np.diff(np.array(frames), axis=0).swapaxes(0, 1)
+    for tolerance, changes in zip((0.01, 0.1), others):
+        pops = np.abs(changes - exact).sum((1, 2, 3)) / np.abs(frames[0][0]).sum()
+        print(f"tolerance {tolerance:g}: pops of {pops.max():.1e}")
+        assert pops.max() < tolerance

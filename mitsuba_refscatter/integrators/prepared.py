@@ -98,12 +98,12 @@ class Prepared:
     def illuminated(self, body, region, sample, emitter, wavelengths=None):
         """``(Illumination, Culling)`` of a ``LightSample`` of an ``Emitter`` at a boundary of a region."""
         found, culling = self.culled(body, sample, emitter)
-        apart = 0.0 if culling is None else max(one.apart for _, one in culling.by_share())
-        return self.illumination(body, region, sample, found, wavelengths, apart=apart), culling
+        illumination = self.illumination(body, region, sample, found, wavelengths)
+        return illumination if culling is None else illumination.off(culling.apart), culling
 
-    def illumination(self, body, region, sample, shadows, wavelengths=None, *, apart=0.0) -> Illumination:
-        """``Illumination`` of a boundary by a ``LightSample``; ``apart``: that of a culling."""
-        return illuminate(self.scene, body, region, sample, shadows, wavelengths=wavelengths, apart=apart)
+    def illumination(self, body, region, sample, shadows, wavelengths=None) -> Illumination:
+        """``Illumination`` of a boundary by a ``LightSample``."""
+        return illuminate(self.scene, body, region, sample, shadows, wavelengths)
 
 
 def prepare(scene, options, cache, seed, straight=False, changes=None):

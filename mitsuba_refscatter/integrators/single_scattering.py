@@ -102,6 +102,7 @@ def _refracted(prepared, region, emitter, taken, single, counts, *, run):
         for k, (one, index) in enumerate(parts):
             some = replace(run.part(k / len(parts), (k + 1) / len(parts)), pace=prepared.pace(body, k))
             few, there = (segments, illumination) if index is None else (segments.gather(index), illumination.at(index))
+            there = there.off(one.apart)
             sigma_s, sigma_t = region.coefficients(few.wavelengths, few.direction)
             local = few.from_boundary(body.centre, sigma_t)
             sums, more = wavefront.scatter(local, one, there, prepared.method(emitter, body)[0], some)
@@ -116,9 +117,11 @@ def _refracted(prepared, region, emitter, taken, single, counts, *, run):
 def _by_share(culling, segments):
     """A light's cullings, with the numbers (UInt32) of the segments that each is for; None for all of them."""
     parts, below = [], np.inf
+    if bool(dr.all(segments.share >= tolerances.SHARES[0])[0]):
+        return [(culling, None)]
     cullings = culling.by_share()
     if len(cullings) == 1:
-        return [(cullings[0][1], None)]
+        return [(culling, None)]
     for least, one in cullings:
         index = dr.compress(
             (segments.share >= dr.opaque(mi.Float, least)) & (segments.share < dr.opaque(mi.Float, below))

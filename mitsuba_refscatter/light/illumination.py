@@ -46,6 +46,12 @@ class Illumination(optics.Incidence):
         light = replace(self.light, L=arrays.of(self.light.L, segment))
         return replace(self, light=light, emission=None if self.emission is None else self.emission.at(segment))
 
+    def off(self, apart):
+        """The same for points that may be so far from the boundary (float)."""
+        if not isinstance(self.emission, Arrival):
+            return self
+        return replace(self, emission=replace(self.emission, apart=apart))
+
     @property
     def total_reflection(self):
         """Whether light may be reflected totally at the boundary."""
@@ -115,7 +121,7 @@ class Arrival:
     light: optics.LocalLight
     transmittance: Transmittance
     boundary: Body
-    apart: float
+    apart: float = 0.0
 
     has_rim = False
 
@@ -145,14 +151,13 @@ def shadows(scene, body, records, sample, sampled):
     return Shadows(scene, body, records, incidence, emitter=sample.shape, sampled=sampled, emission=emission)
 
 
-def illuminate(scene, body, region, sample, shadows, *, wavelengths=None, apart=0.0):
+def illuminate(scene, body, region, sample, shadows, wavelengths=None):
     """``Illumination`` of a boundary by a ``LightSample``; ``region``: that behind it; ``shadows``:
-    ``visibility.Shadows`` of such a sample; ``wavelengths``: of the camera segments; ``apart``: how far from it its
-    points may be."""
+    ``visibility.Shadows`` of such a sample; ``wavelengths``: of the camera segments."""
     centre = dr.opaque(mi.Point3f, body.centre)
     incidence, emission = _incidence(body, sample, centre), sample.emission(centre, wavelengths)
     if scene.through_media(body):
-        emission = Arrival(emission, incidence.light, Transmittance(scene, wavelengths), body, apart)
+        emission = Arrival(emission, incidence.light, Transmittance(scene, wavelengths), body)
     return Illumination(
         light=incidence.light,
         eta=incidence.eta,
