@@ -37,7 +37,7 @@ NEXT_TO_CAMERA = 0.05
 """Distance of a light from the camera, relative to that of a body, below which triangles are taken themselves: camera
 rays are nearly along its light, and where they meet follows from the last digits of both."""
 
-DENSE = 64.0
+DENSE = 16.0
 """Optical depth of a body's size above which triangles are taken themselves: all light is next to the boundary, where
 the error of beams is not what it is further on."""
 
