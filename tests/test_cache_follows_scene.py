@@ -120,6 +120,17 @@ def test_light_beams_of_a_point_are_kept(ball, render):
     assert any(made.get(key) is not value for key, value in one.cache._now.items())
 
 
+def test_light_beams_and_triangles_are_kept_apart(ball, render):
+    """Where the medium is dense triangles are taken for the same light, and light beams again afterwards."""
+    scene, one = ball(light=build.point_light(LAMP)), refscatter()
+    key, value = CHANGES["extinction"]
+    before, thin = change(scene, key, lambda x: x), render(one, scene)[0]
+    change(scene, key, value)
+    assert_same(render(one, scene)[0], render(refscatter(), scene)[0])
+    change(scene, key, lambda _: before)
+    assert_same(render(one, scene)[0], thin)
+
+
 @pytest.mark.slow
 def test_light_beams_follow_the_accuracy(ball, render):
     scene, one, fresh = ball(light=build.point_light(LAMP)), refscatter(), refscatter()

@@ -23,7 +23,6 @@ from .clearance import estimate
 from .light_beams import LightBeams
 from .pairs import Reach, Taken
 from .protocol import Culling
-from .structures import BeamsKey
 
 
 @dataclass
@@ -53,15 +52,9 @@ class Beams(Culling):
     @classmethod
     def of(cls, body, shadows, structures, drawn):
         """As ``Culling.of``. Beams of a light point that other renders may have, too, are made once."""
-        light, geometry = shadows.light, structures.scene.geometry
-        if drawn or geometry is None or dr.width(light.L) > 1:
+        if drawn or structures.scene.geometry is None or dr.width(shadows.light.L) > 1:
             return build(body, shadows, structures)
-        key = BeamsKey(
-            body=body.key, records=structures.scene.records_key, first_record=body.first_record, geometry=geometry,
-            distant=light.distant, L=tuple(np.array(light.L).ravel().tolist()), tests_lit=shadows.lit is not None,
-            accuracy=structures.accuracy,
-        )  # fmt: skip
-        return structures.cache.once(lambda: build(body, shadows, structures), key)
+        return structures.beams(cls, lambda: build(body, shadows, structures), body, shadows)
 
     def node_test(self, segments, _incidence):
         """The conservative test of bundles of camera segments against a node of the tree, for ``bvh.traverse``."""

@@ -16,7 +16,6 @@ from ..light import beams, coarse_mesh, first_cells, refinement
 from . import beam_tree
 from .pairs import Taken
 from .protocol import Culling
-from .structures import BeamsKey
 
 
 @dataclass
@@ -46,15 +45,13 @@ class LightBeams(Culling):
     def of(cls, body, shadows, structures, drawn):
         """As ``Culling.of``. Beams of a light point that other renders may have, too, are made once: but where it sends
         more into some directions, which tells where cells are small."""
-        light, scene = shadows.light, structures.scene
-        if drawn or scene.geometry is None or shadows.emission is not None:
+
+        def make():
             return _Maker(body, shadows, structures, drawn).make()
-        key = BeamsKey(
-            body=body.key, records=scene.records_key, first_record=body.first_record, geometry=scene.geometry,
-            distant=light.distant, L=tuple(np.array(light.L).ravel().tolist()), tests_lit=shadows.lit is not None,
-            accuracy=structures.accuracy,
-        )  # fmt: skip
-        return structures.cache.once(lambda: _Maker(body, shadows, structures, drawn).make(), key)
+
+        if drawn or structures.scene.geometry is None or shadows.emission is not None:
+            return make()
+        return structures.beams(cls, make, body, shadows)
 
     def by_share(self):
         """As ``Culling.by_share``."""

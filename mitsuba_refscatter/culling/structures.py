@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import mitsuba as mi
+import numpy as np
 
 from ..core import arrays
 from ..core.cache import BodyKey, RecordsKey, TreeKey
@@ -17,6 +18,7 @@ from .clearance import Clearance
 class BeamsKey:
     """Of the light beams of one light point in a body.
 
+    kind          name of the class of culling
     body          the body
     records       its packed triangles, among others
     first_record  index of its first triangle there
@@ -27,6 +29,7 @@ class BeamsKey:
     accuracy      what the option ``tolerance`` selects
     """
 
+    kind: str
     body: BodyKey
     records: RecordsKey
     first_record: int
@@ -59,6 +62,17 @@ class Structures:
         body  ``scene.boundaries.Body``
         """
         return self.cache.once(make, TreeKey(kind, self.scene.records_key, body.first_record))
+
+    def beams(self, kind, make, body, shadows):
+        """The light beams that ``make()`` makes of a light point in a boundary, once. ``kind``: class of culling;
+        ``shadows``: ``visibility.Shadows`` of the light."""
+        light, scene = shadows.light, self.scene
+        key = BeamsKey(
+            kind=kind.__name__, body=body.key, records=scene.records_key, first_record=body.first_record,
+            geometry=scene.geometry, distant=light.distant, L=tuple(np.array(light.L).ravel().tolist()),
+            tests_lit=shadows.lit is not None, accuracy=self.accuracy,
+        )  # fmt: skip
+        return self.cache.once(make, key)
 
     def order(self, body):
         """Triangles (UInt32, numbers among the records) of a boundary in the order in which trees take them."""

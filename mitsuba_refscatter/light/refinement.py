@@ -3,11 +3,11 @@
 Each cell is asked at nine further nodes, those that its quarters need. What the quadratic through its six nodes says
 there is wrong by
 
-    e = flux min(1, 4 |dx| / width + |dphi| / phi + |dlength| / length),
+    e = flux min(1, 2 |dx| / width + (|mean dphi| + |dphi| / 4) / phi + |dlength| / length),
 
 means over the nine nodes, with dx the distance of light lines, at their start, middle or end, whichever is worst, and
-the width of the beam there. A cell on which light is stopped by different things, or not at all, counts as wrong as a
-whole. The sum of e over that of the flux estimates the relative L1 error of the image.
+the width of the beam there. Of a cell on which light is stopped by different things, or not at all, a quarter counts
+as wrong. The sum of e over that of the flux estimates the relative L1 error of the image.
 """
 
 from __future__ import annotations
