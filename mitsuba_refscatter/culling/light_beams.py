@@ -69,11 +69,8 @@ class LightBeams(Culling):
     def near(self, item, bundles):
         """Which beams (UInt32, indices) may have zeros of g for a segment of ``Bundles``, lane by lane (Bool)."""
         lines = beams.Lines.gather(self.records, item)
-        g, bound = lines.at_corners(bundles.o, bundles.d)
         pad = (dr.norm(bundles.o - lines.centre) + lines.radius) * bundles.spread_d + bundles.spread_o
-        bound += pad * (1 + lines.d_omega)
-        low, high = dr.minimum(dr.minimum(g[0], g[1]), g[2]), dr.maximum(dr.maximum(g[0], g[1]), g[2])
-        return (lines.radius >= 0) & (low <= bound) & (high >= -bound)
+        return lines.may_meet(bundles.o, bundles.d, pad * (1 + lines.d_omega))
 
     def triangle_of(self, _pairs, _active=True):
         """As ``Culling.triangle_of``: beams have none."""

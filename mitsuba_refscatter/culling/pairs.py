@@ -53,6 +53,15 @@ class Pairs:
         parts.tau1 = parts.tau0 + step
         return parts
 
+    def quarters(self):
+        """The four parts of what each pair means, as pairs."""
+        if len(self) == 0:
+            return self
+        i = dr.arange(mi.UInt32, 4 * len(self))
+        out = self.gather(i // 4)
+        code, level = (mi.UInt32(0), mi.UInt32(0)) if out.code is None else (out.code, out.level)
+        return Pairs(out.segment, out.beam, code | ((i & 3) << (2 * level)), level + mi.UInt32(1))
+
     def place(self, u0, v0, h):
         """Corner and signed size (u, v, h) of what is meant; ``u0``, ``v0``, ``h``: those of the whole beams."""
         if self.code is None:

@@ -21,7 +21,6 @@ import mitsuba as mi
 
 from .. import tolerances
 from ..culling.beam import Zeros
-from ..culling.pairs import Pairs
 from ..geometry.interval import gauss_legendre, positive_part
 from ..light import beams
 from ..light.illumination import Illumination
@@ -116,10 +115,8 @@ class BeamCurve(Estimator):
 
     def classify(self, piece, segment):
         """``Zeros`` of g on beams, of which ``piece`` are the lines."""
-        g, bound = piece.at_corners(segment.o, segment.d)
-        low, high = dr.minimum(dr.minimum(g[0], g[1]), g[2]), dr.maximum(dr.maximum(g[0], g[1]), g[2])
-        possible = (piece.radius >= 0) & (low <= bound) & (high >= -bound)
-        return Zeros(possible, possible, g, mi.Float(0))
+        possible = piece.may_meet(segment.o, segment.d)
+        return Zeros(possible, possible, [], mi.Float(0))
 
     def accumulate(self, sums, pairs, segments, culling, illumination, accuracy):
         """As ``Estimator.accumulate``. Returns the quarters of pairs that must be cut."""
@@ -129,17 +126,7 @@ class BeamCurve(Estimator):
         total, contributes, cut, resolved = _sum(pair, may_cut, accuracy)
         sums.add(pairs, total, contributes & ~cut, resolved, pairs.share())
         sums.eval(cut)
-        return quarters(pairs.gather(dr.compress(cut)))
-
-
-def quarters(pairs):
-    """The four parts of each pair's part."""
-    if len(pairs) == 0:
-        return pairs
-    i = dr.arange(mi.UInt32, 4 * len(pairs))
-    out = pairs.gather(i // 4)
-    code, level = (mi.UInt32(0), mi.UInt32(0)) if out.code is None else (out.code, out.level)
-    return Pairs(out.segment, out.beam, code | ((i & 3) << (2 * level)), level + mi.UInt32(1))
+        return pairs.gather(dr.compress(cut)).quarters()
 
 
 @dataclass

@@ -323,10 +323,7 @@ class Work:
 
     def _quarter(self, part):
         """Of the four parts of each part: those that can be solved, and those that must be cut again."""
-        i = dr.arange(mi.UInt32, 4 * len(part))
-        quarters = part.gather(i // 4)
-        quarters.code |= (i & 3) << (2 * quarters.level)
-        quarters.level += 1
+        quarters = part.quarters()
         _, zeros, bent, taken = self.classify(quarters)
         bent &= quarters.level < self.culling.most_levels
         solvable, go_on = zeros.bracketed & ~bent, zeros.possible & bent

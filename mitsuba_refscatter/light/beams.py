@@ -63,6 +63,13 @@ class Lines:
         g = [-(dr.dot(m, d) + dr.dot(w, q)) for w, m in zip(self.omega, self.m)]
         return g, self.d_m + self.d_omega * dr.norm(q)
 
+    def may_meet(self, o, d, pad=0):
+        """False (Bool) only where g does not vanish; ``pad``: how far it may be from what it is for the line."""
+        g, bound = self.at_corners(o, d)
+        bound += pad
+        low, high = dr.minimum(dr.minimum(g[0], g[1]), g[2]), dr.maximum(dr.maximum(g[0], g[1]), g[2])
+        return (self.radius >= 0) & (low <= bound) & (high >= -bound)
+
 
 @dataclass
 class LightBeams:

@@ -72,9 +72,7 @@ class Facets:
 
     def edges(self):
         """Longest edges (Float) and centres (Vector3f) of the cells."""
-        tri = triangle.gather(self.records, self.triangles)
-        a, b, c = tri.corners()
-        return dr.maximum(dr.maximum(dr.norm(a - b), dr.norm(b - c)), dr.norm(c - a)), (a + b + c) / 3
+        return _edges(triangle.gather(self.records, self.triangles))
 
 
 class Sheets:
@@ -137,6 +135,10 @@ class Sheets:
 
     def edges(self):
         """As ``Facets.edges``."""
-        sheet = triangle.gather(self.records, dr.arange(mi.UInt32, self.count))
-        a, b, c = sheet.corners()
-        return dr.maximum(dr.maximum(dr.norm(a - b), dr.norm(b - c)), dr.norm(c - a)), (a + b + c) / 3
+        return _edges(triangle.gather(self.records, dr.arange(mi.UInt32, self.count)))
+
+
+def _edges(tri):
+    """Longest edges (Float) and centres (Vector3f) of triangles."""
+    a, b, c = tri.corners()
+    return dr.maximum(dr.maximum(dr.norm(a - b), dr.norm(b - c)), dr.norm(c - a)), (a + b + c) / 3
