@@ -59,7 +59,7 @@ class Pairs:
             return self
         i = dr.arange(mi.UInt32, 4 * len(self))
         out = self.gather(i // 4)
-        code, level = (mi.UInt32(0), mi.UInt32(0)) if out.code is None else (out.code, out.level)
+        code, level = (mi.UInt32(0), mi.UInt32(0)) if out.code is None or out.level is None else (out.code, out.level)
         return Pairs(out.segment, out.beam, code | ((i & 3) << (2 * level)), level + mi.UInt32(1))
 
     def place(self, u0, v0, h):
