@@ -26,6 +26,7 @@ class LightBeams(Culling):
     tree      over the beams
     width     mean width of the beams, in units of the scene
     estimate  relative L1 error of the image that is expected
+    asked     that which was asked for
     apart     how far the quadratics' points may be from the boundary
     looser    () -> list of ``LightBeams`` of larger errors, one for each of ``tolerances.LOOSER``
     """
@@ -34,12 +35,18 @@ class LightBeams(Culling):
     tree: bvh.Tree
     width: float
     estimate: float
+    asked: float = 0.0
     apart: float = 0.0
     looser: Callable = list
 
     bundle = tolerances.BUNDLED
     for_one_light = True
     most_levels = tolerances.MAX_PAIR_SUBDIVISION
+
+    @property
+    def points(self):
+        """Gauss points along the curve in each of them."""
+        return tolerances.points_along(dr.width(self.records) // beams.BEAM, self.asked)
 
     @classmethod
     def of(cls, body, shadows, structures, drawn):
@@ -126,7 +133,7 @@ class _Maker:
         if len(self.facets.domain) == 0:
             return None
         cells, estimate, tracing = self._cells(factor * self.tolerance)
-        return _of_cells(cells, tracing, estimate, self.body)
+        return _of_cells(cells, tracing, (estimate, factor * self.tolerance), self.body)
 
     def _cells(self, tolerance):
         """``Cells`` and their estimate: of the coarse mesh if these are few, else of facets; and the ``Tracing``. What
@@ -141,8 +148,8 @@ class _Maker:
         return *refinement.refine(self.facets, tolerance, None), self.facets
 
 
-def _of_cells(cells, tracing, estimate, body):
-    """``LightBeams`` of the leaves of ``Cells``; None if none is lit."""
+def _of_cells(cells, tracing, errors, body):
+    """``LightBeams`` of the leaves of ``Cells``; None if none is lit. ``errors``: expected, and asked for."""
     chosen = np.flatnonzero(cells.leaf & cells.lit)
     if len(chosen) == 0:
         return None
@@ -158,7 +165,7 @@ def _of_cells(cells, tracing, estimate, body):
     dr.eval(records)
     tree = beam_tree.tree_of(len(chosen), lambda index: bounds(beams.LightBeams.gather(records, index), body))
     return LightBeams(
-        records, tree, float(cells.size[chosen].mean()), float(estimate), float(cells.apart[chosen].max())
+        records, tree, float(cells.size[chosen].mean()), *errors, float(cells.apart[chosen].max())
     )
 
 

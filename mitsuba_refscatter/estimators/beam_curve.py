@@ -123,7 +123,7 @@ class BeamCurve(Estimator):
         pair = _Pair.of(pairs, segments, culling, illumination)
         level = mi.UInt32(0) if pairs.level is None else pairs.level
         may_cut = level < tolerances.MAX_PAIR_SUBDIVISION
-        total, contributes, cut, resolved = _sum(pair, may_cut, accuracy)
+        total, contributes, cut, resolved = _sum(pair, may_cut, culling.points, accuracy)
         sums.add(pairs, total, contributes & ~cut, resolved, pairs.share())
         sums.eval(cut)
         return pairs.gather(dr.compress(cut)).quarters()
@@ -255,9 +255,9 @@ class _Way:
         return dr.min(sigma_t) * nearest < tolerances.OPAQUE
 
 
-def _sum(pair, may_cut, accuracy):
-    """What pairs bring (Spectrum), which of them anything (Bool), which must be cut first (Bool), and which are
-    resolved (Bool)."""
+def _sum(pair, may_cut, points, accuracy):
+    """What pairs bring (Spectrum) by so many ``points``, which of them anything (Bool), which must be cut first (Bool),
+    and which are resolved (Bool)."""
     g = pair.g()
     if dr.width(pair.h) > 1:  # of the part
         g = [beams.mix(pair.weights(u, v), g) for u, v in beams.NODES]
@@ -269,7 +269,7 @@ def _sum(pair, may_cut, accuracy):
     cut &= way.width > 0
     loop, centre, ring = _loop(arc)
     total, contributes, resolved = mi.Spectrum(0), mi.Bool(False), mi.Bool(True)
-    for k, (share, weight) in enumerate(zip(*gauss_legendre(accuracy.points))):
+    for k, (share, weight) in enumerate(zip(*gauss_legendre(points))):
         tau = way.at(share)
         x, y, here, found = arc.meet(tau)
         if k == 0:  # a closed curve has one point, its middle
@@ -278,7 +278,7 @@ def _sum(pair, may_cut, accuracy):
         line = pair.line(w)
         cut |= way.misjudged(tau, line, accuracy.clip, pair.segment.t_max)
         # By one point: the means along the part of what changes most, relative to its middle.
-        value = density * _sinhc(0.5 * change) - rise * change / 12 if accuracy.points == 1 else mi.Spectrum(here)
+        value = density * _sinhc(0.5 * change) - rise * change / 12 if points == 1 else mi.Spectrum(here)
         value *= weight * arc.E1 * arc.E2 * way.width
         exists = arc.once & (way.width > 0)
         if k == 0:

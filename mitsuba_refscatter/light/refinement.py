@@ -55,6 +55,7 @@ class Cells:
     lit        (N,) whether light comes anywhere, if it is sent there
     share      Float, part of it that gets in
     mixed      Bool, whether the nodes' labels differ
+    edge       (N,) whether they do, or the boundary has kinks that cutting does not mend
     size       (N,) longest edge, units of the scene
     apart      (N,) how far the quadratic's points are from the boundary
     leaf       (N,) whether it is not cut
@@ -71,6 +72,7 @@ class Cells:
     lit: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     share: mi.Float | None = None
     mixed: mi.Bool | None = None
+    edge: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     size: np.ndarray = field(default_factory=lambda: np.zeros(0))
     apart: np.ndarray = field(default_factory=lambda: np.zeros(0))
     leaf: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
@@ -181,7 +183,8 @@ class Tracing:
         nodes = [_Node.gather(cells.nodes, i * len(LATTICE) + k) for k in range(len(LATTICE))]
         six, nine = nodes[: len(NODES)], nodes[len(NODES) :]
         wrong, d_length = self._error(six, nine)
-        error = wrong * dr.select(wrong > tolerances.NO_BETTER * before, tolerances.SCATTERED, 1) + d_length
+        kinks = wrong > tolerances.NO_BETTER * before
+        error = wrong * dr.select(kinks, tolerances.SCATTERED, 1) + d_length
         cells.wrong, low, high = wrong, mi.Float(tolerances.ENDLESS), mi.Float(0)
         comes, lit, sent = mi.Float(0), mi.Float(0), mi.Float(0)
         for x in nodes:
@@ -195,13 +198,14 @@ class Tracing:
         flux = dr.square(cells.h) * sent / (2 * len(LATTICE))
         error = flux * dr.select(cells.mixed, tolerances.MIXED, dr.minimum(error, 1))
         error = dr.select(cells.share > 0, error, 0)
-        edge, _ = self.domain.edges()
-        size = dr.gather(mi.Float, edge, cells.first) * dr.abs(cells.h)
+        longest, _ = self.domain.edges()
+        size = dr.gather(mi.Float, longest, cells.first) * dr.abs(cells.h)
         flux, lit, apart = flux * cells.share, cells.share > 0, _apart(six, nine)
         found = flux, error, size, apart
-        dr.eval(found, lit, cells.mixed, cells.share, cells.wrong)
+        edge = cells.mixed | kinks
+        dr.eval(found, lit, edge, cells.mixed, cells.share, cells.wrong)
         cells.flux, cells.error, cells.size, cells.apart = (x.numpy().astype(np.float64) for x in found)
-        cells.lit = lit.numpy().copy()
+        cells.lit, cells.edge = lit.numpy().copy(), edge.numpy().copy()
         cells.leaf = np.ones(n, dtype=bool)
         return cells
 
@@ -301,17 +305,27 @@ def refine(tracing, tolerance, most):
         can = alive[cells.size[alive] > tolerances.LEAST_CELL * float(tracing.far[0])]
         left = cells.error[can].sum()
         # What can't be cut any more takes no more than its share of what is allowed.
-        if error <= wanted or left <= tolerances.LEFT_OF_ERROR * wanted:
+        poor = _poor(cells, can, tolerance)
+        if len(poor) == 0 and (error <= wanted or left <= tolerances.LEFT_OF_ERROR * wanted):
             return cells, _relative(error, total)
         order = can[np.argsort(-cells.error[can])]
         enough = np.searchsorted(np.cumsum(cells.error[order]), left - tolerances.LEFT_OF_ERROR * wanted) + 1
-        chosen = np.sort(order[:enough])
+        chosen = poor if error <= wanted else np.union1d(order[:enough], poor)
         if most is not None and cells.leaf.sum() + 3 * len(chosen) > most:
             return None, _relative(error, total)
         if len(cells) + 4 * len(chosen) > tolerances.MOST_CELLS:
             return cells, _relative(error, total)
         cells.leaf[chosen] = False
         cells = cells.joined(tracing.quarters(cells, arrays.array(mi.UInt32, chosen)))
+
+
+def _poor(cells, can, tolerance):
+    """Those of the cells ``can`` (numbers) whose error per area is too large where they are small parts of all, too;
+    but shadows' edges and kinks, which stay."""
+    lit = cells.leaf & cells.lit
+    density = cells.flux[lit].sum() / max((cells.size[lit] ** 2).sum(), 1e-30)
+    high = cells.error[can] > tolerances.LOCAL * tolerance * density * cells.size[can] ** 2
+    return can[high & ~cells.edge[can]]
 
 
 def _relative(error, total):

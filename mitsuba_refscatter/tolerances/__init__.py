@@ -7,7 +7,7 @@ Tools (``benchmarks``, ``probing`` and others) name their own settings at the he
 ``tests/test_thresholds_have_one_home.py`` holds this.
 """
 
-from .accuracy import Accuracy, accuracy
+from .accuracy import Accuracy, accuracy, points_along
 from .meshes import *
 
 SHADOW_OFFSET = 2e-6
@@ -389,3 +389,7 @@ LEAST_CELL = 2.0**-14
 
 LEFT_OF_ERROR = 0.5
 """Share of the allowed error that may be left in cells that are not cut: the quarters of others need the rest."""
+
+LOCAL = 2.0
+"""Largest error per area of a cell, relative to the tolerance times the mean flux per area: no part of the light is
+far worse than the rest."""

@@ -5,6 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+ALONG = 10.0
+"""One point along the curve in a light beam makes an error of about this over the number of beams; n of them its nth
+power."""
+
+ALONG_SHARE = 0.25
+"""Share of the allowed error that this may be."""
+
+ALONG_POINTS = 1, 2, 4
+"""Points to choose from."""
+
 
 @dataclass(frozen=True)
 class Accuracy:
@@ -14,7 +24,7 @@ class Accuracy:
     uneven              largest error of the mean of 1 / |grad g| along the curve in one beam; above, it is cut
     coarse              whether the first cells of light beams may be those of a coarse mesh
     bend                largest deviation of a triangle's beam from a linear one, by its width; above, it is cut
-    points              Gauss points along the curve in one beam
+    points              Gauss points along the curve in the beam of one triangle
     guest_points        the same on triangles, where shadows of other objects may end on them
     newton              Newton steps per point of a triangle
     weight              camera segments with a smaller weight are dropped
@@ -46,6 +56,14 @@ class Accuracy:
     lobes: float
     samples_visibility: bool
     adapts: bool = True
+
+
+def points_along(beams, cells):
+    """Gauss points along the curve in one of a number of light ``beams`` of one light whose errors are ``cells``."""
+    for points in ALONG_POINTS:
+        if (ALONG / max(beams, 1)) ** points < ALONG_SHARE * cells:
+            break
+    return points
 
 
 def accuracy(tolerance):

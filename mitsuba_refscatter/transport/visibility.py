@@ -78,7 +78,8 @@ class Shadows:
         found = hit.is_valid()
         stop = dr.select(found, dr.reinterpret_array(mi.UInt32, hit.shape) + 1, 0)
         # In a closed body the only ones that meet nothing slip through an edge where they come in.
-        return dr.select(found, hit.t, 0 if self.body.closed else most), stop
+        before = -self.offset * dr.dot(direction, Ng)
+        return dr.select(found, hit.t + before, 0 if self.body.closed else most), stop
 
     def seen(self, triangles):
         """Of the triangles (UInt32, scene's numbering): which to keep (indices), and which of these are
