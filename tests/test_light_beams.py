@@ -85,7 +85,7 @@ def packed(P, omega, phi, length):
     beams.write(records, numbers, 0, room)
     dr.eval(records)
     tree = beam_tree.tree_of(n, lambda index: light_beams.bounds(beams.LightBeams.gather(records, index), Bounds))
-    return light_beams.LightBeams(records, tree, 0.3, 0.0, 1e-4)
+    return light_beams.LightBeams(records, tree, 0.3, 0.0)
 
 
 def quadratic(uv, nodes):

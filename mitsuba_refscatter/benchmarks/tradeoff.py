@@ -28,7 +28,7 @@ IN_ROW = 3
 """Panels side by side: readable at 1280 pixels."""
 CHOICES = {
     "beams": ("cells",),
-    "quadrature": ("points", "uneven"),
+    "quadrature": ("along", "uneven"),
     "clipping": ("clip",),
     "weak paths": ("weight",),
 }

@@ -26,7 +26,7 @@ class LightBeams(Culling):
     tree      over the beams
     width     mean width of the beams, in units of the scene
     estimate  relative L1 error of the image that is expected
-    asked     that which was asked for
+    slack     how much larger it may be than what the tolerance says
     apart     how far the quadratics' points may be from the boundary
     looser    () -> list of ``LightBeams`` of larger errors, one for each of ``tolerances.LOOSER``
     """
@@ -35,7 +35,7 @@ class LightBeams(Culling):
     tree: bvh.Tree
     width: float
     estimate: float
-    asked: float = 0.0
+    slack: float = 1.0
     apart: float = 0.0
     looser: Callable = list
 
@@ -43,10 +43,9 @@ class LightBeams(Culling):
     for_one_light = True
     most_levels = tolerances.MAX_PAIR_SUBDIVISION
 
-    @property
-    def points(self):
+    def points(self, accuracy):
         """Gauss points along the curve in each of them."""
-        return tolerances.points_along(dr.width(self.records) // beams.BEAM, self.asked)
+        return tolerances.points_along(dr.width(self.records) // beams.BEAM, accuracy.along * self.slack)
 
     @classmethod
     def of(cls, body, shadows, structures, drawn):
@@ -100,7 +99,7 @@ class _Maker:
 
     def __init__(self, body, shadows, structures, drawn):
         self.body, self.structures, self.drawn = body, structures, drawn
-        self.tolerance = structures.accuracy.cells * max(drawn, 1) ** 0.5
+        self.slack = max(drawn, 1) ** 0.5
         most = float(np.linalg.norm(np.array(body.box_high) - np.array(body.box_low)))
         scene = structures.scene
 
@@ -132,8 +131,9 @@ class _Maker:
         """``LightBeams`` whose error is below the tolerance times ``factor``; None if nothing is lit."""
         if len(self.facets.domain) == 0:
             return None
-        cells, estimate, tracing = self._cells(factor * self.tolerance)
-        return _of_cells(cells, tracing, (estimate, factor * self.tolerance), self.body)
+        slack = factor * self.slack
+        cells, estimate, tracing = self._cells(slack * self.structures.accuracy.cells)
+        return _of_cells(cells, tracing, (estimate, slack), self.body)
 
     def _cells(self, tolerance):
         """``Cells`` and their estimate: of the coarse mesh if these are few, else of facets; and the ``Tracing``. What
@@ -149,7 +149,7 @@ class _Maker:
 
 
 def _of_cells(cells, tracing, errors, body):
-    """``LightBeams`` of the leaves of ``Cells``; None if none is lit. ``errors``: expected, and asked for."""
+    """``LightBeams`` of the leaves of ``Cells``; None if none is lit. ``errors``: ``estimate`` and ``slack``."""
     chosen = np.flatnonzero(cells.leaf & cells.lit)
     if len(chosen) == 0:
         return None
@@ -164,9 +164,7 @@ def _of_cells(cells, tracing, errors, body):
     beams.write(records, tracing.packed(cells, arrays.array(mi.UInt32, order), exists), 0, room)
     dr.eval(records)
     tree = beam_tree.tree_of(len(chosen), lambda index: bounds(beams.LightBeams.gather(records, index), body))
-    return LightBeams(
-        records, tree, float(cells.size[chosen].mean()), *errors, float(cells.apart[chosen].max())
-    )
+    return LightBeams(records, tree, float(cells.size[chosen].mean()), *errors, float(cells.apart[chosen].max()))
 
 
 def bounds(beam, body):

@@ -123,7 +123,7 @@ class BeamCurve(Estimator):
         pair = _Pair.of(pairs, segments, culling, illumination)
         level = mi.UInt32(0) if pairs.level is None else pairs.level
         may_cut = level < tolerances.MAX_PAIR_SUBDIVISION
-        total, contributes, cut, resolved = _sum(pair, may_cut, culling.points, accuracy)
+        total, contributes, cut, resolved = _sum(pair, may_cut, culling.points(accuracy), accuracy)
         sums.add(pairs, total, contributes & ~cut, resolved, pairs.share())
         sums.eval(cut)
         return pairs.gather(dr.compress(cut)).quarters()

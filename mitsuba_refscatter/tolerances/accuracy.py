@@ -9,9 +9,6 @@ ALONG = 10.0
 """One point along the curve in a light beam makes an error of about this over the number of beams; n of them its nth
 power."""
 
-ALONG_SHARE = 0.25
-"""Share of the allowed error that this may be."""
-
 ALONG_POINTS = 1, 2, 4
 """Points to choose from."""
 
@@ -21,6 +18,7 @@ class Accuracy:
     """What the one knob ``tolerance`` selects.
 
     cells               relative L1 error of the image that light beams may make; 0: exact triangles instead
+    along               error that too few points along the curve in light beams may make
     uneven              largest error of the mean of 1 / |grad g| along the curve in one beam; above, it is cut
     coarse              whether the first cells of light beams may be those of a coarse mesh
     bend                largest deviation of a triangle's beam from a linear one, by its width; above, it is cut
@@ -40,6 +38,7 @@ class Accuracy:
     """
 
     cells: float
+    along: float
     uneven: float
     coarse: bool
     bend: float
@@ -58,10 +57,10 @@ class Accuracy:
     adapts: bool = True
 
 
-def points_along(beams, cells):
-    """Gauss points along the curve in one of a number of light ``beams`` of one light whose errors are ``cells``."""
+def points_along(beams, error):
+    """Gauss points along the curve in one of a number of light ``beams`` of one light, for a relative ``error``."""
     for points in ALONG_POINTS:
-        if (ALONG / max(beams, 1)) ** points < ALONG_SHARE * cells:
+        if (ALONG / max(beams, 1)) ** points < error:
             break
     return points
 
@@ -76,6 +75,7 @@ def accuracy(tolerance):
     points = min(2 ** max(0, math.ceil(decades - 2.5)), 4)
     return Accuracy(
         cells=0.7 * tolerance,
+        along=0.2 * tolerance,
         uneven=math.sqrt(finest) if points == 1 else 0.03,
         coarse=True,
         bend=min(max(math.sqrt(finest), 0.02), 0.5),
