@@ -49,6 +49,10 @@ class Options(Common):
     culling: str = field(
         default="beams", metadata={"choices": CULLINGS, "meaning": "how triangles are found for a segment"}
     )
+    light_bounces: int = field(
+        default=0,
+        metadata={"range": (0, 64), "meaning": "refractions and reflections of light besides a first refraction"},
+    )
     samples: int = field(
         default=0,
         metadata={

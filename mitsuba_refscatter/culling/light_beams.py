@@ -28,6 +28,7 @@ class LightBeams(Culling):
     estimate  relative L1 error of the image that is expected
     slack     how much larger it may be than what the tolerance says
     apart     how far the quadratics' points may be from the boundary
+    more      quadratics of a record besides those that each has (``beams.LightBeams``)
     looser    () -> list of ``LightBeams`` of larger errors, one for each of ``tolerances.LOOSER``
     """
 
@@ -37,6 +38,7 @@ class LightBeams(Culling):
     estimate: float
     slack: float = 1.0
     apart: float = 0.0
+    more: int = 0
     looser: Callable = list
 
     bundle = tolerances.BUNDLED
@@ -45,7 +47,7 @@ class LightBeams(Culling):
 
     def points(self, accuracy):
         """Gauss points along the curve in each of them."""
-        return tolerances.points_along(dr.width(self.records) // beams.BEAM, accuracy.along * self.slack)
+        return tolerances.points_along(dr.width(self.records) // beams.stride(self.more), accuracy.along * self.slack)
 
     @classmethod
     def of(cls, body, shadows, structures, drawn):
@@ -74,7 +76,7 @@ class LightBeams(Culling):
 
     def near(self, item, bundles):
         """Which beams (UInt32, indices) may have zeros of g for a segment of ``Bundles``, lane by lane (Bool)."""
-        lines = beams.Lines.gather(self.records, item)
+        lines = beams.Lines.gather(self.records, item, more=self.more)
         pad = (dr.norm(bundles.o - lines.centre) + lines.radius) * bundles.spread_d + bundles.spread_o
         return lines.may_meet(bundles.o, bundles.d, pad * (1 + lines.d_omega))
 
@@ -84,7 +86,7 @@ class LightBeams(Culling):
 
     def take(self, pairs, _incidence, active=True):
         """As ``Culling.take``; of beams the lines alone."""
-        lines = beams.Lines.gather(self.records, pairs.beam, active)
+        lines = beams.Lines.gather(self.records, pairs.beam, active, self.more)
         return Taken(None, lines, True, None, mi.Bool(True), mi.Bool(False))
 
 

@@ -52,7 +52,7 @@ class _Pair:
     @classmethod
     def of(cls, pairs, segments, culling, illumination):
         segment = segments.gather(pairs.segment)
-        beam = beams.LightBeams.gather(culling.records, pairs.beam)
+        beam = beams.LightBeams.gather(culling.records, pairs.beam, more=culling.more)
         q = dr.cross(segment.o - beam.centre, segment.d)
         part = pairs.place(mi.Float(0), mi.Float(0), mi.Float(1))
         return cls(segment, segments.sigma_t_of(pairs.segment), illumination.at(pairs.segment), beam, q, *part)
@@ -329,6 +329,8 @@ def _integrand(pair, line, w):
     beam, illumination = pair.beam, pair.illumination
     value = dr.maximum(beams.mix(w, beam.phi), 0) * line.size
     value *= illumination.phase(line.omega / line.size, pair.segment.d)
+    if beam.more:
+        return value * illumination.carried([beams.mix(w, x) for x in beam.more])
     if illumination.emission is None:
         return value
     P = beams.start(line.omega, line.m, beams.mix(w, beam.e)) + beam.centre

@@ -81,7 +81,9 @@ class PhotonIntegrator(RefscatterIntegrator):
                 cloud = self._cloud(prepared, region, body, number, rng)
                 if cloud is not None:
                     local = segments.from_boundary(body.centre, sigma_t)
-                    value = wavefront.gather(local, cloud, region.phase, region.directed, prepared.pace(body))
+                    value = wavefront.gather(
+                        local, cloud, region.phase, region.directed, prepared.pace(body.index, body.key)
+                    )
                     dr.scatter_add(single.value, segments.weight * sigma_s * value, segments.sample)
                     single.eval()
         return single

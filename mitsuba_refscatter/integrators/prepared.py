@@ -11,7 +11,7 @@ import mitsuba as mi
 from .. import tolerances
 from ..core.cache import Cache
 from ..core.sobol import Sequence
-from ..culling import CULLINGS
+from ..culling import CULLINGS, chains
 from ..culling.protocol import Culling
 from ..culling.structures import Structures
 from ..estimators import ESTIMATORS, unrefracted, wavefront
@@ -19,6 +19,22 @@ from ..estimators.protocol import Estimator
 from ..light.illumination import Illumination, illuminate, shadows
 from ..scene import Scene, parameters, read
 from ..scene.media import visible
+
+
+@dataclass(frozen=True)
+class ChainsKey:
+    """Of the light beams behind chains.
+
+    scene     digest of all that can be changed in a scene but for its sensors
+    emitter   number of the light
+    accuracy  what the tolerance decides
+    bounces   events that are followed
+    """
+
+    scene: bytes
+    emitter: int
+    accuracy: tolerances.Accuracy
+    bounces: int
 
 
 @dataclass
@@ -37,6 +53,7 @@ class Prepared:
     sequence       of random numbers for light samples; None where none must be drawn
     made           what was made in this render, by keys that need not name the scene, the camera or options
     near           indices of emitters next to the camera
+    light_bounces  events besides a first refraction that light is followed through
     """
 
     scene: Scene
@@ -51,6 +68,7 @@ class Prepared:
     sequence: Sequence | None
     made: dict = field(default_factory=dict)
     near: set = field(default_factory=set)
+    light_bounces: int = 0
 
     def once(self, make, *key):
         """What ``make()`` makes in this render at the first use of ``key``."""
@@ -62,9 +80,9 @@ class Prepared:
         """``unrefracted.angle_panels`` of a region's phase function."""
         return self.once(lambda: unrefracted.angle_panels(region.phase, self.accuracy), "panels", region.index)
 
-    def pace(self, body, number=0):
-        """``wavefront.Pace`` for a boundary and segments of a class, of that ``number``."""
-        return self.once(wavefront.Pace, "pace", body.index, body.key, number)
+    def pace(self, *what):
+        """``wavefront.Pace`` for segments of a kind."""
+        return self.once(wavefront.Pace, "pace", *what)
 
     def parameters(self):
         """Digest of all that can be changed in the scene."""
@@ -101,6 +119,19 @@ class Prepared:
         illumination = self.illumination(body, region, sample, found, wavelengths)
         return illumination if culling is None else illumination.off(culling.apart), culling
 
+    def chains(self, sample, emitter):
+        """``{region: LightBeams}`` of what a ``LightSample`` of an ``Emitter`` sends through chains. Made once for all
+        renders where the emitter is one point or direction."""
+
+        def make():
+            return chains.of(self.structures, sample, self.light_bounces, self.light_samples if emitter.drawn else 0)
+
+        if emitter.drawn:
+            return make()
+        key = ChainsKey(self.once(lambda: parameters(self.given, False), "lit"), emitter.index, self.accuracy,
+                        self.light_bounces)  # fmt: skip
+        return self.cache.once(make, key)
+
     def illumination(self, body, region, sample, shadows, wavelengths=None) -> Illumination:
         """``Illumination`` of a boundary by a ``LightSample``."""
         return illuminate(self.scene, body, region, sample, shadows, wavelengths)
@@ -123,11 +154,12 @@ def prepare(scene, options, cache, seed, straight=False, changes=None):
         accuracy = replace(accuracy, **{estimator.samples_field: options.samples}, adapts=False)
     culling = CULLINGS[options.culling]
     on_triangles = estimator, culling
-    if accuracy.cells > 0 and estimator.of_beams is not None and culling.of_beams is not None:
+    on_beams = estimator.of_beams is not None and culling.of_beams is not None
+    if accuracy.cells > 0 and on_beams:
         estimator, culling = estimator.of_beams, culling.of_beams
     drawn = any(emitter.drawn for emitter in records.emitters)
     return Prepared(
         scene=records, given=scene, accuracy=accuracy, estimator=estimator, culling=culling, on_triangles=on_triangles,
         light_samples=options.light_samples, cache=cache, structures=Structures(records, cache, accuracy),
-        sequence=Sequence(seed()) if drawn else None,
+        sequence=Sequence(seed()) if drawn else None, light_bounces=options.light_bounces if on_beams else 0,
     )  # fmt: skip

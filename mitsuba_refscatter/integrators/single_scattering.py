@@ -13,9 +13,12 @@ import numpy as np
 from .. import tolerances
 from ..core import arrays
 from ..core.sobol import Batch
+from ..culling import chains
 from ..estimators import unrefracted, wavefront
 from ..estimators.accumulator import Sums
+from ..estimators.beam_curve import BeamCurve
 from ..light import light_samples
+from ..light.chains import ChainedLight, coloured
 from ..scene import holds
 from ..scene.boundaries import boxes_meet
 from ..transport import visibility
@@ -59,10 +62,16 @@ def scatter(prepared, paths, samples, counts, refracted=True):
         scene.emitters, prepared.sequence, shared, samples.batch, n, samples.ray.wavelengths
     ) if along else []  # fmt: skip
     work = [(*x, share) for share in shares for x in along]
+    chained = {}
     for i, (region, segments, share) in enumerate(work):
         taken = share.of(segments)
         if taken is None:
             continue
+        if refracted and prepared.light_bounces and scene.bodies:
+            if id(share) not in chained:
+                chained = {id(share): prepared.chains(share.sample, share.emitter)}
+            if region.index in chained[id(share)]:
+                _chained(prepared, region, share.emitter, taken, (single, counts), chained[id(share)][region.index])
         if refracted:
             run = wavefront.Run(
                 prepared.accuracy, seed=samples.seed + i, detail=samples.detail, progress=samples.progress
@@ -100,7 +109,7 @@ def _refracted(prepared, region, emitter, taken, single, counts, *, run):
             continue
         parts = _by_share(culling, segments)
         for k, (one, index) in enumerate(parts):
-            some = replace(run.part(k / len(parts), (k + 1) / len(parts)), pace=prepared.pace(body, k))
+            some = replace(run.part(k / len(parts), (k + 1) / len(parts)), pace=prepared.pace(body.index, body.key, k))
             few, there = (segments, illumination) if index is None else (segments.gather(index), illumination.at(index))
             there = there.off(one.apart)
             sigma_s, sigma_t = region.coefficients(few.wavelengths, few.direction)
@@ -112,6 +121,25 @@ def _refracted(prepared, region, emitter, taken, single, counts, *, run):
             found = float(dr.sum(dr.mean(weight * sums.value))[0]) if one.estimate > 0 else 0.0
             counts.found(None if emitter.drawn else (emitter.index, body.index), found, one.estimate)
             single.add_all(sums, weight, few.sample)
+
+
+def _chained(prepared, region, emitter, taken, sums, culling):
+    """Adds light that comes through chains, of which ``culling`` has the beams. ``taken``: as of ``_refracted``;
+    ``sums``: those of the camera samples, and the counts."""
+    (segments, sample, value), (single, counts) = taken, sums
+    centre = chains.walls(prepared.scene, region).centre
+    origin, colours = dr.opaque(mi.Point3f, centre), coloured(prepared.scene)
+    for k, (one, index) in enumerate(_by_share(culling, segments)):
+        few = segments if index is None else segments.gather(index)
+        light = ChainedLight.of(region, sample, origin, few.wavelengths, colours)
+        sigma_s, sigma_t = region.coefficients(few.wavelengths, few.direction)
+        run = wavefront.Run(prepared.accuracy, pace=prepared.pace("chains", region.index, k))
+        found, more = wavefront.scatter(few.from_boundary(centre, sigma_t), one, light, BeamCurve(), run)
+        counts.add(more)
+        weight = few.weight * sigma_s * (value if index is None else arrays.of(value, index))
+        brought = float(dr.sum(dr.mean(weight * found.value))[0])
+        counts.found(None if emitter.drawn else (emitter.index, "chains", region.index), brought, one.estimate)
+        single.add_all(found, weight, few.sample)
 
 
 def _by_share(culling, segments):

@@ -27,6 +27,9 @@ NODES = (*CORNERS, (0.5, 0.0), (0.5, 0.5), (0.0, 0.5))
 LINES, BEAM = 24, 60
 """Numbers of a record of the lines alone, and of all of it."""
 
+RADIUS = 23
+"""Place of the radius in a record."""
+
 NOTHING = -1.0
 """Radius of a cell that is none."""
 
@@ -51,9 +54,9 @@ class Lines:
     radius: mi.Float
 
     @classmethod
-    def gather(cls, records, index, active=True):
-        """Those at ``index`` (UInt32) of packed ``records`` (Float)."""
-        x = _numbers(records, index, LINES, active)
+    def gather(cls, records, index, active=True, more=0):
+        """Those at ``index`` (UInt32) of packed ``records`` (Float); ``more``: as ``LightBeams.gather`` has it."""
+        x = _numbers(records, index, LINES, active, stride(more))
         v = [mi.Vector3f(x[i : i + 3]) for i in range(0, 21, 3)]
         return cls(v[0], v[1:4], v[4:7], *x[21:24])
 
@@ -81,6 +84,7 @@ class LightBeams:
     e       six Float, P . omega
     phi     six Float, flux density per area in (u, v), of light of intensity 1
     length  six Float, of the light's way behind P
+    more    what else is known of the light, each six Float
     """
 
     centre: mi.Vector3f
@@ -89,31 +93,39 @@ class LightBeams:
     e: list[mi.Float]
     phi: list[mi.Float]
     length: list[mi.Float]
+    more: list
 
     @classmethod
-    def gather(cls, records, index, active=True):
-        """Those at ``index`` (UInt32) of packed ``records`` (Float)."""
-        x = _numbers(records, index, BEAM, active)
+    def gather(cls, records, index, active=True, more=0):
+        """Those at ``index`` (UInt32) of packed ``records`` (Float); ``more``: number of quadratics in ``more``."""
+        x = _numbers(records, index, stride(more), active, stride(more))
         v = [mi.Vector3f(x[i : i + 3]) for i in range(0, 21, 3)]
         w = [mi.Vector3f(x[i : i + 3]) for i in range(24, 42, 3)]
-        return cls(v[0], v[1:4] + w[:3], v[4:7] + w[3:], x[42:48], x[48:54], x[54:60])
+        extra = [x[BEAM + 6 * k : BEAM + 6 * k + 6] for k in range(more)]
+        return cls(v[0], v[1:4] + w[:3], v[4:7] + w[3:], x[42:48], x[48:54], x[54:60], extra)
 
 
-def _numbers(records, index, count, active):
+def stride(more):
+    """Numbers of a record with ``more`` quadratics."""
+    return BEAM + -(-6 * more // 4) * 4
+
+
+def _numbers(records, index, count, active, stride):
     out = []
     for k in range(count // 4):
-        out.extend(dr.gather(mi.Vector4f, records, index * (BEAM // 4) + k, active))
+        out.extend(dr.gather(mi.Vector4f, records, index * (stride // 4) + k, active))
     return out
 
 
-def pack(P, omega, phi, length, exists):
-    """The numbers of records (list of ``BEAM`` Float) of beams with values at the ``NODES``.
+def pack(P, omega, phi, length, exists, more=()):
+    """The numbers of records (list of Float, ``stride`` of them) of beams with values at the ``NODES``.
 
     P       six Vector3f, body coordinates
     omega   six Vector3f, unit
     phi     six Float
     length  six Float
     exists  Bool
+    more    list of six Float each
     """
     low = high = P[0]
     for p in P[1:]:
@@ -132,7 +144,10 @@ def pack(P, omega, phi, length, exists):
     for x in (omega[3:], m[3:]):
         for v in x:
             out += [*v]
-    return out + [dr.dot(p, w) for p, w in zip(P, omega)] + list(phi) + list(length)
+    out += [dr.dot(p, w) for p, w in zip(P, omega)] + list(phi) + list(length)
+    for values in more:
+        out += list(values)
+    return out + [mi.Float(0)] * (stride(len(more)) - len(out))
 
 
 def write(records, numbers, first, count):

@@ -33,18 +33,19 @@ class Points:
     found: mi.Bool
 
 
-def faces_light(tri, light):
-    """False only if no point of the triangle is lit: the facet faces away, or n . (L - P) < 0 throughout.
+def faces_light(tri, light, side=1):
+    """False only if no point of the triangle is lit: the facet faces away, or n . (L - P) < 0 throughout; of its back
+    for the ``side`` -1.
 
     The latter is a polynomial in (u, v), of which the largest Bernstein coefficient is a bound. These are means of the
     values for pairs of corners.
     """
-    a, n = [light.to(p) for p in tri.corners()], tri.corner_normals()
+    a, n = [light.to(p) for p in tri.corners()], [side * x for x in tri.corner_normals()]
     top = dr.dot(n[0], a[0])
     for i in range(len(a)):
         for j in range(i, len(a)):
             top = dr.maximum(top, 0.5 * (dr.dot(n[i], a[j]) + dr.dot(n[j], a[i])))
-    return (top > 0) & (dr.dot(tri.Ng, a[0]) > 0)
+    return (top > 0) & (side * dr.dot(tri.Ng, a[0]) > 0)
 
 
 class Facets:
@@ -53,11 +54,12 @@ class Facets:
     records    packed triangles
     triangles  UInt32, which of them
     light      ``optics.LocalLight``: of triangles that face away from it there are no cells
+    side       1 for light from outside of the boundary, -1 from inside
     """
 
-    def __init__(self, records, triangles, light):
-        self.records = records
-        facing = faces_light(triangle.gather(records, triangles), light)
+    def __init__(self, records, triangles, light, side=1):
+        self.records, self.side = records, dr.opaque(mi.Float, side)
+        facing = faces_light(triangle.gather(records, triangles), light, self.side)
         self.triangles = arrays.gather(triangles, dr.compress(facing))
 
     def __len__(self):
@@ -68,7 +70,8 @@ class Facets:
         tri = triangle.gather(self.records, dr.gather(mi.UInt32, self.triangles, cell))
         P, inside = tri.position(u, v), tri.position(*middle)
         area = dr.norm(dr.cross(tri.P_u, tri.P_v))
-        return Points(P, tri.normal(u, v), tri.Ng, area, P + tolerances.INWARDS * (inside - P), mi.Bool(True))
+        n, Ng = self.side * tri.normal(u, v), self.side * tri.Ng
+        return Points(P, n, Ng, area, P + tolerances.INWARDS * (inside - P), mi.Bool(True))
 
     def edges(self):
         """Longest edges (Float) and centres (Vector3f) of the cells."""

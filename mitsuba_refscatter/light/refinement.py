@@ -12,7 +12,7 @@ as wrong. The sum of e over that of the flux estimates the relative L1 error of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -35,7 +35,7 @@ OF_QUARTER = np.array([[LATTICE.index((u0 + h * u, v0 + h * v)) for u, v in NODE
 """Which of a cell's fifteen nodes are those of its quarters, (4, 6)."""
 
 NODE = 12
-"""Numbers of a node: P, omega, phi, length, label, whether light comes there, how much of it is sent, and a pad."""
+"""Numbers of a node: P, omega, phi, length, label, whether light comes there, how much of it is sent, and one more."""
 
 UNLIT, DARK, FREE = 0, 1, 2
 """Labels: no light comes there, which no shadow is to blame for; a shadow or total reflection; the first of what stops
@@ -48,7 +48,7 @@ class Cells:
 
     first      UInt32, the first cell that it is a part of
     u0, v0, h  Float, corner and signed size of the part
-    nodes      Float, flat, fifteen of ``NODE`` numbers per cell
+    nodes      Float, flat, fifteen of ``Tracing.numbers`` numbers per cell
     wrong      Float, how wrong lines and flux are, relative: the first of e
     error      (N,) e
     flux       (N,) of light of intensity 1
@@ -80,6 +80,10 @@ class Cells:
     def __len__(self):
         return dr.width(self.first)
 
+    def copy(self):
+        """The same, to be cut."""
+        return replace(self, leaf=self.leaf.copy())
+
     def joined(self, other):
         """These and others."""
         out = {}
@@ -96,10 +100,15 @@ class Tracing:
     shadows  ``visibility.Shadows`` of the light sample
     far      float, how far light goes that matters, units of the scene
     most     float, how far it goes where nothing stops it
+
+    ``numbers``: of a node, ``NODE`` and those that only this kind of light has.
     """
+
+    numbers = NODE
 
     def __init__(self, domain, shadows, far, most):
         self.domain, self.shadows, self.emission = domain, shadows, shadows.emission
+        self.lengths_differ = shadows.inside is not None
         self.far, self.most = (dr.opaque(mi.Float, x) for x in (far, most))
 
     def first(self):
@@ -107,7 +116,7 @@ class Tracing:
         n = len(self.domain)
         zero = dr.zeros(mi.Float, n)
         cells = Cells(
-            dr.arange(mi.UInt32, n), zero, mi.Float(zero), zero + 1, dr.empty(mi.Float, n * len(LATTICE) * NODE)
+            dr.arange(mi.UInt32, n), zero, mi.Float(zero), zero + 1, dr.empty(mi.Float, n * len(LATTICE) * self.numbers)
         )
         dr.eval(cells.u0, cells.v0, cells.h)
         self._trace(cells, 0)
@@ -121,12 +130,12 @@ class Tracing:
         first = dr.gather(mi.UInt32, cells.first, parent)
         u0, v0, h = (dr.gather(mi.Float, x, parent) for x in (cells.u0, cells.v0, cells.h))
         du, dv, dh = (_pick(quarter, x) for x in zip(*QUARTERS))
-        out = Cells(first, u0 + h * du, v0 + h * dv, h * dh, dr.empty(mi.Float, n * len(LATTICE) * NODE))
+        out = Cells(first, u0 + h * du, v0 + h * dv, h * dh, dr.empty(mi.Float, n * len(LATTICE) * self.numbers))
         dr.eval(out.first, out.u0, out.v0, out.h)
         for k in range(len(NODES)):
             source = parent * len(LATTICE) + _pick(quarter, [int(x) for x in OF_QUARTER[:, k]], mi.UInt32)
             triangle.scatter_numbers(
-                out.nodes, triangle.gather_numbers(cells.nodes, source, NODE), i * len(LATTICE) + k
+                out.nodes, triangle.gather_numbers(cells.nodes, source, self.numbers), i * len(LATTICE) + k
             )
         dr.eval(out.nodes)
         self._trace(out, len(NODES))
@@ -172,6 +181,10 @@ class Tracing:
             return mi.Float(1)
         return dr.max(mi.Spectrum(self.emission(P, omega_L, d_L)))
 
+    def nodes(self, cells, chosen, which):
+        """List of ``Node``: those of the numbers ``which`` of the ``chosen`` (UInt32) of cells."""
+        return [Node.gather(cells.nodes, chosen * len(LATTICE) + k, self.numbers) for k in which]
+
     def _judge(self, cells, before):
         """Cells with their errors; ``before``: how ``wrong`` those are that they were cut from.
 
@@ -180,7 +193,7 @@ class Tracing:
         """
         n = len(cells)
         i = dr.arange(mi.UInt32, n)
-        nodes = [_Node.gather(cells.nodes, i * len(LATTICE) + k) for k in range(len(LATTICE))]
+        nodes = self.nodes(cells, i, range(len(LATTICE)))
         six, nine = nodes[: len(NODES)], nodes[len(NODES) :]
         wrong, d_length = self._error(six, nine)
         kinks = wrong > tolerances.NO_BETTER * before
@@ -236,11 +249,11 @@ class Tracing:
         total = dr.maximum(all_phi, 1e-30)
         error = tolerances.ASTRAY * worst / (total * dr.maximum(width, 1e-30))
         error += (tolerances.SCATTERED * d_phi + dr.abs(bias)) / total
-        return error, mi.Float(0) if self.shadows.inside is None else d_length / dr.maximum(all_length, 1e-30)
+        return error, d_length / dr.maximum(all_length, 1e-30) if self.lengths_differ else mi.Float(0)
 
     def packed(self, cells, chosen, exists):
         """The numbers of records (``beams.pack``) of the ``chosen`` (UInt32) of cells; ``exists``: which count."""
-        nodes = [_Node.gather(cells.nodes, chosen * len(LATTICE) + k) for k in range(len(NODES))]
+        nodes = self.nodes(cells, chosen, range(len(NODES)))
         mixed = dr.gather(mi.Bool, cells.mixed, chosen)
         scale = dr.square(dr.gather(mi.Float, cells.h, chosen)) * dr.select(
             mixed, dr.gather(mi.Float, cells.share, chosen), 1
@@ -266,8 +279,8 @@ def _apart(six, nine):
 
 
 @dataclass
-class _Node:
-    """Nodes, lane by lane: body coordinates, see ``NODE``."""
+class Node:
+    """Nodes, lane by lane: body coordinates, see ``NODE``. ``more``: list of Float, all numbers after ``sent``."""
 
     P: mi.Vector3f
     omega: mi.Vector3f
@@ -276,11 +289,13 @@ class _Node:
     label: mi.Float
     comes: mi.Float
     sent: mi.Float
+    more: list[mi.Float]
 
     @classmethod
-    def gather(cls, nodes, index):
-        x = triangle.gather_numbers(nodes, index, NODE)
-        return cls(mi.Vector3f(x[:3]), mi.Vector3f(x[3:6]), *x[6:11])
+    def gather(cls, nodes, index, count):
+        """Those at ``index`` (UInt32); ``count``: of their numbers."""
+        x = triangle.gather_numbers(nodes, index, count)
+        return cls(mi.Vector3f(x[:3]), mi.Vector3f(x[3:6]), *x[6:11], x[11:])
 
 
 def _pick(number, values, kind=None):
@@ -292,12 +307,13 @@ def _pick(number, values, kind=None):
     return out
 
 
-def refine(tracing, tolerance, most):
+def refine(tracing, tolerance, most, cells=None, evenly=True):
     """``(Cells, estimate)``: cells whose leaves are good for a relative error ``tolerance`` of the image, and the error
-    that is expected. ``most``: leaves, at most; None where they are more."""
-    cells = tracing.first()
+    that is expected. ``most``: leaves, at most; None where they are more. ``cells``: to begin with, if not the first
+    ones; ``evenly``: whether no part of the light may be far worse than the rest."""
+    cells = tracing.first() if cells is None else cells
     if tracing.emission is not None and tracing.emission.has_rim:
-        cells = _no_larger(tracing, cells, tolerances.RIM_CELL * float(tracing.far[0]))
+        cells = no_larger(tracing, cells, tolerances.RIM_CELL * float(tracing.far[0]))
     while True:
         alive = np.flatnonzero(cells.leaf & (cells.error > 0))
         total, error = cells.flux[cells.leaf].sum(), cells.error[alive].sum()
@@ -305,7 +321,7 @@ def refine(tracing, tolerance, most):
         can = alive[cells.size[alive] > tolerances.LEAST_CELL * float(tracing.far[0])]
         left = cells.error[can].sum()
         # What can't be cut any more takes no more than its share of what is allowed.
-        poor = _poor(cells, can, tolerance)
+        poor = _poor(cells, can, tolerance) if evenly else can[:0]
         if len(poor) == 0 and (error <= wanted or left <= tolerances.LEFT_OF_ERROR * wanted):
             return cells, _relative(error, total)
         order = can[np.argsort(-cells.error[can])]
@@ -333,7 +349,7 @@ def _relative(error, total):
     return float(error / total) if total > 0 else 0.0
 
 
-def _no_larger(tracing, cells, size):
+def no_larger(tracing, cells, size):
     """``Cells`` that are cut where they are lit and larger than ``size``, so that no light goes between their nodes."""
     while True:
         chosen = np.flatnonzero(cells.leaf & cells.lit & (cells.size > size))

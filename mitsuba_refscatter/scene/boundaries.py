@@ -27,7 +27,7 @@ class Body:
     name            as messages call it
     shape           Mitsuba's
     index           its number among the bodies of the scene
-    kind            a value of ``support.BOUNDARIES``
+    kind            a value of ``support.BOUNDARIES``, or ``mirror``
     eta             index of refraction inside over outside
     corners         float64 (F, 3, 3), world
     normals         float64 (F, 3), unit, geometric, outward
@@ -168,6 +168,16 @@ def read(shape, kind, index, first_record, cache):
     return replace(body, name=name, shape=shape, index=index, first_record=first_record, tints=tints)
 
 
+def read_mirror(shape, first_record, cache):
+    """``Body`` of a mesh that is a mirror: nothing goes through it."""
+    name = name_shape(shape)
+    has = shape.has_vertex_normals(), shape.has_face_normals(), shape.has_flipped_normals()
+    buffers = shape.faces_buffer(), shape.vertex_positions_buffer(), shape.vertex_normals_buffer()
+    key = BodyKey("mirror", 1.0, has, fingerprint(*buffers))
+    body = cache.once(lambda: _read(shape, "mirror", 1.0, name, key), key)
+    return replace(body, name=name, shape=shape, first_record=first_record)
+
+
 def _read(shape, kind, eta, name, key):
     """``Body`` of a mesh, the first of its scene and without tints."""
     vertices, faces, normals = _read_mesh(shape, name)
@@ -185,7 +195,7 @@ def _read(shape, kind, eta, name, key):
         agreement = np.bincount(part, np.einsum("fki,fi,f->f", normals[faces], winding, area))
     Ng = _outward(corners, winding, part, name) if closed else _front(shape, winding, agreement)
     corner_normals = np.repeat(Ng[:, None, :], 3, axis=1)
-    smooth = eta != 1 and kind == "refracts"
+    smooth = kind == "mirror" or (eta != 1 and kind == "refracts")
     if normals is not None and smooth:  # else shading normals play no part
         turned = np.sign(agreement)[part] * np.sign(np.einsum("fi,fi->f", Ng, winding))
         corner_normals = normals[faces] * np.where(turned < 0, -1, 1)[:, None, None]

@@ -16,7 +16,7 @@ from .boundaries import box_of, boxes_meet, holds
 from .errors import SceneError
 from .records import ONCE, Scene
 from .regions import Regions
-from .support import refusal
+from .support import MESHED_MIRRORS, refusal
 from .surfaces import shape_number
 
 
@@ -28,7 +28,7 @@ def read(scene, tolerance, cache, straight=False, surfaces=False):
     straight   whether light goes straight through all boundaries, as if they were ``null``; camera rays don't
     surfaces   whether surfaces are shown, so that there is something to see without media, too
     """
-    scene = tessellation.expand(scene, lambda shape: body_reader.kind_of(shape) is not None, tolerance)
+    scene = tessellation.expand(scene, _becomes_mesh, tolerance)
     bodies, others = _bodies(scene, cache)
     regions = Regions(bodies, scene.sensors()).found
     if not surfaces and not any(region.medium is not None for region in regions):
@@ -38,11 +38,14 @@ def read(scene, tolerance, cache, straight=False, surfaces=False):
         )
     emitters = emitter_reader.read(scene, bodies, any(region.scatters for region in regions))
     passed = [body for body in bodies if straight or not body.refracts]
-    packed = bodies + _boundaries(bodies, passed, regions, emitters)
+    turned = _boundaries(bodies, passed, regions, emitters)
+    mirrors = _mirrors([shape for shape in others if _is_mirror(shape)], bodies + turned, regions, cache)
+    packed = bodies + turned + mirrors
     key = RecordsKey(tuple(body.key for body in packed))
     return Scene(
         mi_scene=scene,
         bodies=bodies,
+        mirror_bodies=mirrors,
         regions=regions,
         emitters=emitters,
         records=cache.once(
@@ -90,6 +93,26 @@ def _bodies(scene, cache):
             bodies.append(body_reader.read(shape, kind, len(bodies), count, cache))
             count += bodies[-1].triangle_count
     return bodies, others
+
+
+def _becomes_mesh(shape):
+    """Whether light is followed at a shape, so that it must be a mesh."""
+    return body_reader.kind_of(shape) is not None or (shape.class_name() in MESHED_MIRRORS and _is_mirror(shape))
+
+
+def _mirrors(shapes, packed, regions, cache):
+    """``Body`` of mirrors that are meshes, as the first that light meets; ``packed``: whose triangles come before."""
+    found, first_record = [], sum(body.triangle_count for body in packed)
+    endless = [region.index for region in regions if region.body is None]
+    for shape in shapes:
+        if shape.is_mesh():
+            body = body_reader.read_mirror(shape, first_record, cache)
+            inside = [x for x in packed if x.closed and holds(x, body.corners[0].mean(axis=0))]
+            around = min(inside, key=lambda x: np.prod(np.subtract(*x.box[::-1])), default=None)
+            body.inside = body.outside = around.inside if around is not None else [*endless, NONE][0]
+            found.append(body)
+            first_record += body.triangle_count
+    return found
 
 
 def _where(flags):
@@ -181,9 +204,11 @@ def _may_be_inside(emitter, body):
     return emitter.box is not None and boxes_meet(emitter.box, body.box)
 
 
-def parameters(scene):
-    """Digest of all that can be changed in a ``mi.Scene``."""
-    return digest(*(x for key, value in mi.traverse(scene) for x in (key, getattr(value, "matrix", value))))
+def parameters(scene, sensors=True):
+    """Digest of all that can be changed in a ``mi.Scene``; with or without its ``sensors``."""
+    hidden = () if sensors else tuple(f"{sensor.id()}." for sensor in scene.sensors())
+    found = ((key, value) for key, value in mi.traverse(scene) if not key.startswith(hidden))
+    return digest(*(x for key, value in found for x in (key, getattr(value, "matrix", value))))
 
 
 def refuse_gradients(scene):

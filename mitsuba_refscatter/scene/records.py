@@ -26,6 +26,7 @@ class Scene:
 
     mi_scene       Mitsuba's, in which every boundary is a mesh of its own
     bodies         ``Body`` of every boundary
+    mirror_bodies  ``Body`` of every mirror that is a mesh; they are none of ``bodies``
     regions        ``Region`` of every volume
     emitters       ``Emitter`` of every light
     records        packed triangles of all bodies (``geometry.triangle``), each in its body's coordinates
@@ -51,6 +52,7 @@ class Scene:
 
     mi_scene: mi.Scene
     bodies: list[Body]
+    mirror_bodies: list[Body]
     regions: list[Region]
     emitters: list[Emitter]
     records: mi.Float

@@ -29,6 +29,9 @@ BOUNDARIES = {"SmoothDielectric": "refracts", "Null": "null", "ThinDielectric": 
 """BSDFs of the boundaries of bodies, by class name: light is refracted, goes on straight, or straight with
 Fresnel loss."""
 
+MESHED_MIRRORS = ("Sphere", "Cylinder", "Disk", "Rectangle")
+"""Shapes that are no meshes but become such where they are mirrors."""
+
 PERTURBED = {
     "BumpMap": "bumpmap",
     "NormalMap": "normalmap",

@@ -393,3 +393,36 @@ LEFT_OF_ERROR = 0.5
 LOCAL = 2.0
 """Largest error per area of a cell, relative to the tolerance times the mean flux per area: no part of the light is
 far worse than the rest."""
+
+
+# Chains of refractions and reflections
+
+BLACK = 1e-30
+"""Least share of light that is told from none: its optical depth is finite."""
+
+MIRROR_OFFSET = 1e-4
+"""Relative to a mirror's largest coordinate: how far before it rays start that ask what it reflects."""
+
+CHAINS_FINEST = 1e-4
+"""Least error that light beams behind chains are made for."""
+
+CHAIN_CELL = 2.0**-4
+"""Largest edge of a cell of light, relative to its body, that is followed to other surfaces, which may be small."""
+
+CHAIN_SURFACES = 12
+"""Most surfaces that a chain meets."""
+
+LOST = 0.01
+"""Flux of a chain that is not followed, relative to what comes to the first boundaries times the error that is allowed."""
+
+WEAK = 0.6
+"""Power of its share of the light with which a chain's error may grow."""
+
+WEAKEST = 0.3
+"""Largest error of the light of a chain."""
+
+CHAINS_SHARE = 1.0
+"""Error that all light behind chains may make, relative to that of first refractions: they are independent."""
+
+FEWER_CHAIN_CELLS = 4.0
+"""As ``FEWER_CELLS``, of light behind chains."""

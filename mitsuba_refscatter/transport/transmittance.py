@@ -44,7 +44,11 @@ class Transmittance:
         region  UInt32, or NONE
         length  Float, or ``tolerances.ENDLESS``
         """
-        return dr.exp(-_of(self._extinctions(d), region) * length)
+        return dr.exp(-self.depth(d, region, length))
+
+    def depth(self, d, region, length):
+        """Optical depth (Spectrum) of the same."""
+        return _of(self._extinctions(d), region) * length
 
     def _extinctions(self, d):
         """Indices of the regions with media, and the extinction (Spectrum, 1/length) along ``d`` in each."""
