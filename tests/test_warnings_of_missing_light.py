@@ -52,7 +52,7 @@ def box(*steps, bsdf=None, **more):
 def shares(scene):
     """Shares of the light in the first medium that scatters, by kind."""
     scene = read(scene, 0.01, cache.Cache())
-    left, _ = walk.follow(scene, photons(scene))
+    left, _ = walk.follow(scene, photons(scene), 0)
     (first, *_) = [region.index for region in scene.regions if region.scatters]
     return left[:, first] / left[:, first].sum()
 

@@ -98,8 +98,8 @@ class _Maker:
         if not self.families:
             return {}
         shares = np.array([one.flux / self.total for one in self.families])
-        # Errors fall with the power 1.5 of the number of cells: so they are fewest for what they bring.
-        loose = tolerances.CHAINS_SHARE * shares**-tolerances.WEAK / np.sum(shares ** (1 - tolerances.WEAK))
+        # Errors of chains are independent, and fall with the power 1.5 of the number of cells: so these are fewest.
+        loose = shares**-0.75 / np.sum(shares**0.5) ** 0.5 / tolerances.CANCELS
         loose = np.minimum(factor * self.asked * loose, tolerances.WEAKEST)
         parts, error = {}, 0.0
         for one, tolerance in zip(self.families, loose):
@@ -107,7 +107,10 @@ class _Maker:
             error += estimate * one.flux
             self._pack(tracing, cells, parts)
         brought = sum(one.flux for one in self.families)
-        return {index: self._joined(index, some, error / brought, factor) for index, some in parts.items()}
+        out = {index: self._joined(index, some, factor) for index, some in parts.items()}
+        for one in out.values():
+            one.most_levels, one.estimate = tolerances.levels(error / brought), tolerances.CANCELS * error / brought
+        return out
 
     def _refined(self, family, tolerance):
         """``(ChainTracing, Cells, estimate)`` of a family: of a coarse mesh if these are few, else of facets."""
@@ -180,8 +183,10 @@ class _Maker:
 
     def _first(self, tracing):
         """``Cells`` to begin with."""
-        most = tolerances.CHAIN_CELL * tracing.first_boundary.body.size
-        return refinement.no_larger(tracing, tracing.first(), most)
+        cells = tracing.first()
+        if len(self.scene.bodies) + len(self.scene.others) == 1:
+            return cells
+        return refinement.no_larger(tracing, cells, tolerances.CHAIN_CELL * tracing.first_boundary.body.size)
 
     def _pack(self, tracing, cells, parts):
         """Adds the beams of cells to ``parts``: {region: list of (numbers, middles, number of further
@@ -212,7 +217,7 @@ class _Maker:
             dr.eval(middle, numbers)
             parts.setdefault(int(index), []).append((numbers, middle.numpy().T, tracing.more, cells.size[lit].mean()))
 
-    def _joined(self, index, parts, estimate, factor):
+    def _joined(self, index, parts, factor):
         """``LightBeams`` of all beams in a region."""
         each, middles, mores, widths = zip(*parts)
         numbers, middle = [arrays.concat(x) for x in zip(*each)], np.concatenate(middles)
@@ -229,4 +234,4 @@ class _Maker:
         dr.eval(records)
         edge = walls(self.scene, self.scene.regions[index])
         tree = beam_tree.tree_of(count, lambda i: bounds(beams.LightBeams.gather(records, i, more=more), edge))
-        return LightBeams(records, tree, width, estimate, factor * self.slack, more=more)
+        return LightBeams(records, tree, width, slack=factor * self.slack, more=more)

@@ -122,7 +122,7 @@ class BeamCurve(Estimator):
         """As ``Estimator.accumulate``. Returns the quarters of pairs that must be cut."""
         pair = _Pair.of(pairs, segments, culling, illumination)
         level = mi.UInt32(0) if pairs.level is None else pairs.level
-        may_cut = level < tolerances.MAX_PAIR_SUBDIVISION
+        may_cut = level < dr.opaque(mi.UInt32, culling.most_levels)
         total, contributes, cut, resolved = _sum(pair, may_cut, culling.points(accuracy), accuracy)
         sums.add(pairs, total, contributes & ~cut, resolved, pairs.share())
         sums.eval(cut)

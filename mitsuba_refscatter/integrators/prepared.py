@@ -53,7 +53,7 @@ class Prepared:
     sequence       of random numbers for light samples; None where none must be drawn
     made           what was made in this render, by keys that need not name the scene, the camera or options
     near           indices of emitters next to the camera
-    light_bounces  events besides a first refraction that light is followed through
+    light_bounces  events besides a first refraction that light is followed through; None by methods that know none
     """
 
     scene: Scene
@@ -68,7 +68,7 @@ class Prepared:
     sequence: Sequence | None
     made: dict = field(default_factory=dict)
     near: set = field(default_factory=set)
-    light_bounces: int = 0
+    light_bounces: int | None = None
 
     def once(self, make, *key):
         """What ``make()`` makes in this render at the first use of ``key``."""
@@ -161,5 +161,5 @@ def prepare(scene, options, cache, seed, straight=False, changes=None):
     return Prepared(
         scene=records, given=scene, accuracy=accuracy, estimator=estimator, culling=culling, on_triangles=on_triangles,
         light_samples=options.light_samples, cache=cache, structures=Structures(records, cache, accuracy),
-        sequence=Sequence(seed()) if drawn else None, light_bounces=options.light_bounces if on_beams else 0,
+        sequence=Sequence(seed()) if drawn else None, light_bounces=options.light_bounces if on_beams else None,
     )  # fmt: skip

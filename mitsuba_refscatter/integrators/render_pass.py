@@ -28,7 +28,7 @@ class RenderPass:
     options   those of the plugin
     medium    that the sensor names, or None
     scatter   (prepared, paths, samples, counts, sampler) -> ``Sums``: how the plugin computes single scattering
-    missing   (scene) -> sentences: what the plugin says of light that is not computed in media
+    missing   (scene, light_bounces or None) -> sentences: what the plugin says of light that is not computed in media
     surfaces  how far sampled paths between surfaces go
     messages  where warnings go
     counts    where the work is counted
@@ -94,7 +94,8 @@ class RenderPass:
         """Says what will be missing in media."""
         prepared = self.prepared
         if self._tells(dr.width(ray)):
-            prepared.once(lambda: self.messages.warn(self.missing(prepared.scene)), "missing in media")
+            bounces = prepared.light_bounces if self.refracts else None
+            prepared.once(lambda: self.messages.warn(self.missing(prepared.scene, bounces)), "missing in media")
 
     def _look_at_lights_at_the_camera(self, ray, paths):
         """Says what will not be found, and takes triangles for lights next to it, where light that is refracted is

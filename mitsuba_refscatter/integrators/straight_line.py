@@ -23,7 +23,7 @@ class StraightIntegrator(RefscatterIntegrator):
     """
 
     known, refracts = options.Common, False
-    missing_in_media = staticmethod(lambda scene: [])  # what it leaves out is what it is for
+    missing_in_media = staticmethod(lambda scene, bounces: [])  # what it leaves out is what it is for
 
     def prepare(self, scene, seed, changes=None):
         return prepare(scene, options.Options(**vars(self.options)), self.cache, seed, straight=True, changes=changes)

@@ -297,10 +297,11 @@ class ChainTracing(Tracing):
             same = ~mixed | (x.label == it.label)
             moved = _moved(it, x)
             nodes.append(_select(same, x, moved))
-        # Of mixed ones what is known is linear.
+        # Of mixed ones, and where a quadratic is far off, what is known is linear.
+        linear = mixed | (dr.gather(mi.Float, cells.wrong, chosen) > tolerances.NO_QUADRATIC)
         for k in range(3):
-            nodes[3 + k] = _select(mixed, _middle(nodes[k], nodes[(k + 1) % 3]), nodes[3 + k])
-        phi = [h2 * dr.select(mixed, flux / len(LATTICE), x.phi) for x in nodes]
+            nodes[3 + k] = _select(linear, _middle(nodes[k], nodes[(k + 1) % 3]), nodes[3 + k])
+        phi = [h2 * dr.select(linear, flux / len(LATTICE), x.phi) for x in nodes]
         more = [[x.more[START + 3 + k] for x in nodes] for k in range(self.spectrum)]
         if self.emission is not None:
             more += [[x.more[START + k] for x in nodes] for k in range(3)]

@@ -16,9 +16,9 @@ from ..transport.crossing import Hit
 
 KINDS = range(6)
 COMPUTED, REFRACTED, INSIDE, REFLECTED, SURFACES, FURTHER = KINDS
-"""What happened to light before it scatters: nothing, or one refraction; several; a reflection inside a body; one
-by a mirror, a thin sheet or the outside of a body; one by a surface; another scattering. The last two hide the
-others."""
+"""What happened to light before it scatters: what is followed; one refraction too many; a reflection too many inside a
+body; one by a mirror, a thin sheet or the outside of a body; one by a surface; another scattering. The last two hide
+the others."""
 
 
 @dataclass
@@ -91,8 +91,9 @@ class Walk:
     region       UInt32, where they are
     weight       Spectrum, W
     kind         UInt32, of COMPUTED ...
-    refractions  UInt32, their number
-    first        UInt32, number of the shape of the first of them
+    bends        UInt32, number of refractions and reflections but for a first that is a refraction
+    first        UInt32, number of the shape of the first refraction
+    begun        Bool, whether there was any
     culprit      UInt32, number of the shape that makes the light one that is not computed
     random       where random numbers come from
     legs         UInt32, how many they have gone
@@ -104,19 +105,20 @@ class Walk:
     region: mi.UInt32
     weight: mi.Spectrum
     kind: mi.UInt32
-    refractions: mi.UInt32
+    bends: mi.UInt32
     first: mi.UInt32
+    begun: mi.Bool
     culprit: mi.UInt32
     random: mi.PCG32
     legs: mi.UInt32
     active: mi.Bool
 
 
-def follow(scene, photons):
+def follow(scene, photons, bounces):
     """What photons leave in media: by kind and region (kinds, R + 1), and by kind, region and shape that is the
-    reason (kinds, R + 1, S)."""
+    reason (kinds, R + 1, S). ``bounces``: as of the option ``light_bounces``."""
     n, regions = dr.width(photons.d), len(scene.regions) + 1
-    albedo, tables = scene.albedos(), Tables(scene)
+    albedo, tables, most = scene.albedos(), Tables(scene), dr.opaque(mi.UInt32, bounces)
     shapes = dr.width(albedo)
     left = dr.zeros(mi.Float, arrays.room(len(KINDS) * regions * (shapes + 1)))
     size = dr.opaque(mi.UInt32, regions), dr.opaque(mi.UInt32, shapes + 1)
@@ -134,20 +136,23 @@ def follow(scene, photons):
         zero,
         mi.UInt32(zero),
         none,
+        dr.zeros(mi.Bool, n),
         mi.UInt32(none),
         mi.PCG32(size=n, initstate=1),
         mi.UInt32(zero),
         dr.full(mi.Bool, True, n),
     )
-    dr.while_loop((state,), lambda state: state.active, lambda state: (_leg(state, scene, tables, albedo, leave),),
+    dr.while_loop((state,), lambda state: state.active, lambda state: (_leg(state, scene, tables, (albedo, most), leave),),
                   label="missing", mode="symbolic")  # fmt: skip
     dr.eval(left)
     found = np.array(left)[: len(KINDS) * regions * (shapes + 1)].reshape(len(KINDS), regions, shapes + 1)
     return found.sum(axis=2), found[..., :-1]
 
 
-def _leg(state, scene, tables, albedo, leave):
-    """One leg of photons and what ends it: a scattering or a surface."""
+def _leg(state, scene, tables, limits, leave):
+    """One leg of photons and what ends it: a scattering or a surface. ``limits``: surfaces' albedos, and as of
+    ``follow``."""
+    albedo, bounces = limits
     met = meet(scene, state.o, state.d, state.active)
     # Where faces touch, the one that is met tells the region better than the one that was left.
     here = dr.select(met.boundary, met.near, state.region)
@@ -166,10 +171,11 @@ def _leg(state, scene, tables, albedo, leave):
 
     event, through, d, factor = _event(state, scene, tables, albedo, met)
     event = dr.select(scatters, FURTHER, event)
-    bends = ~scatters & (event == REFRACTED)
-    refractions = state.refractions + dr.select(bends, mi.UInt32(1), 0)
-    first = dr.select(bends & (state.first == NONE), met.shape, state.first)
-    event = dr.select(bends & (refractions < 2), COMPUTED, event)
+    refracted = ~scatters & (event == REFRACTED)
+    counts = ~scatters & ((event == REFRACTED) | (event == INSIDE) | (event == REFLECTED))
+    bends = state.bends + dr.select(counts & (state.begun | ~refracted), mi.UInt32(1), 0)
+    first = dr.select(refracted & (state.first == NONE), met.shape, state.first)
+    event = dr.select(counts & (bends <= bounces), COMPUTED, event)
     worse = (event != COMPUTED) & ((state.kind == COMPUTED) | ((event >= SURFACES) & (event > state.kind)))
     at = met.p
     start = at + dr.copysign(tolerances.MISSING_OFFSET * dr.max(dr.abs(at)), dr.dot(d, met.Ng)) * met.Ng
@@ -182,8 +188,9 @@ def _leg(state, scene, tables, albedo, leave):
         ),
         weight=state.weight * dr.select(scatters, after, left / (1 - p) * factor),
         kind=dr.select(worse, event, state.kind),
-        refractions=refractions,
+        bends=bends,
         first=first,
+        begun=state.begun | counts,
         culprit=dr.select(worse, dr.select(event == REFRACTED, first, met.shape), state.culprit),
         random=state.random,
         legs=state.legs + 1,

@@ -7,7 +7,7 @@ Tools (``benchmarks``, ``probing`` and others) name their own settings at the he
 ``tests/test_thresholds_have_one_home.py`` holds this.
 """
 
-from .accuracy import Accuracy, accuracy, points_along
+from .accuracy import Accuracy, accuracy, levels, points_along
 from .meshes import *
 
 SHADOW_OFFSET = 2e-6
@@ -403,6 +403,9 @@ BLACK = 1e-30
 MIRROR_OFFSET = 1e-4
 """Relative to a mirror's largest coordinate: how far before it rays start that ask what it reflects."""
 
+NO_QUADRATIC = 0.3
+"""Error of a cell from which on a quadratic tells no more than corners do, but costs more."""
+
 CHAINS_FINEST = 1e-4
 """Least error that light beams behind chains are made for."""
 
@@ -415,14 +418,11 @@ CHAIN_SURFACES = 12
 LOST = 0.01
 """Flux of a chain that is not followed, relative to what comes to the first boundaries times the error that is allowed."""
 
-WEAK = 0.6
-"""Power of its share of the light with which a chain's error may grow."""
-
 WEAKEST = 0.3
 """Largest error of the light of a chain."""
 
-CHAINS_SHARE = 1.0
-"""Error that all light behind chains may make, relative to that of first refractions: they are independent."""
+CANCELS = 0.4
+"""Share that is left of the errors of light behind chains: a camera segment meets many beams."""
 
 FEWER_CHAIN_CELLS = 4.0
 """As ``FEWER_CELLS``, of light behind chains."""

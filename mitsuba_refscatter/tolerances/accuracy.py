@@ -12,6 +12,9 @@ power."""
 ALONG_POINTS = 1, 2, 4
 """Points to choose from."""
 
+MAX_LEVELS = 8
+"""Levels to which light beams are cut, at most."""
+
 
 @dataclass(frozen=True)
 class Accuracy:
@@ -63,6 +66,12 @@ def points_along(beams, error):
         if (ALONG / max(beams, 1)) ** points < error:
             break
     return points
+
+
+def levels(error):
+    """Levels to which light beams with a relative ``error`` are cut for single segments: what is left then is a share
+    of the light of about a tenth of it."""
+    return min(max(round(-math.log2(max(error, 1e-30))), 1), MAX_LEVELS)
 
 
 def accuracy(tolerance):
