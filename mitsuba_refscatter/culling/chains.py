@@ -186,7 +186,8 @@ class _Maker:
         cells = tracing.first()
         if len(self.scene.bodies) + len(self.scene.others) == 1:
             return cells
-        return refinement.no_larger(tracing, cells, tolerances.CHAIN_CELL * tracing.first_boundary.body.size)
+        size = tolerances.CHAIN_CELL * tracing.first_boundary.body.size
+        return refinement.no_larger(tracing, cells, size, unlit=True)
 
     def _pack(self, tracing, cells, parts):
         """Adds the beams of cells to ``parts``: {region: list of (numbers, middles, number of further

@@ -44,6 +44,10 @@ class RefscatterIntegrator(mi.SamplingIntegrator):
      * - internal_bounces
        - |int|
        - Internal reflections of the camera ray, and hits from outside and of mirrors after the first. (Default: 4)
+     * - light_bounces
+       - |int|
+       - Refractions and reflections of light before it scatters, besides a first refraction. 0 is that one alone; a
+         first reflection by a mirror is 1. Known by ``curve`` with ``beams`` alone. (Default: 0)
      * - light_samples
        - |int|
        - Light points per pass for emitters that are not a point or a direction. With the culling ``beams`` the camera

@@ -164,9 +164,10 @@ class ChainTracing(Tracing):
         """What a mirror leaves (Spectrum) of light that comes to ``Points`` on it."""
         off = dr.opaque(mi.Float, tolerances.MIRROR_OFFSET * self.first_boundary.body.extent)
         ray = mi.Ray3f(mi.Point3f(at.start) + omega_L * off + self.centre, -omega_L)
-        pi = self.around.scene.mi_scene.ray_intersect_preliminary(ray)
-        met = pi.is_valid() & self.around.scene.is_mirror(pi.shape)
-        return dr.select(met, crossing.mirrored(self.around.scene, pi, ray, visible())[2], 0)
+        scene = self.around.scene
+        hit = crossing.trace(scene, ray.o, ray.d)
+        met = hit.valid & scene.is_mirror(hit.pi.shape)
+        return dr.select(met, crossing.mirrored(scene, hit.pi, ray, visible())[2], 0)
 
     def _arrives(self, at, omega_L, d_L, active):
         """Whether light comes to ``Points`` of the first boundary (Bool), and what is left of it (Spectrum)."""

@@ -1,9 +1,8 @@
-"""Light behind chains of refractions and reflections: how chains are told, where they begin, and what of the scene they
-meet.
+"""Light behind chains of refractions and reflections: how chains are told, where they begin, and what they meet.
 
-A chain is told by one choice per surface that light meets: to go through it or to be reflected. Its first choice is made
-at a *first boundary*, the first that bends light on its way from the light. Boundaries that do not refract are gone
-through without being counted. ``chain_tracing`` follows the light.
+A chain is told by one choice per surface that light meets: to go through it or to be reflected. Its first choice is
+made at a *first boundary*, the first that bends light on its way from the light. Boundaries that do not refract are
+gone through without being counted. ``chain_tracing`` follows the light.
 """
 
 from __future__ import annotations
@@ -159,6 +158,6 @@ class ChainedLight(Illumination):
         known = np.ravel(visible())
         out = depths[0] + mi.Spectrum(0)
         for a, b, low, high in zip(known, known[1:], depths, depths[1:]):
-            share = dr.clip((self.wavelengths - float(a)) / float(b - a), 0, 1)
+            share = dr.clip((mi.Spectrum(self.wavelengths) - float(a)) / float(b - a), 0, 1)
             out += share * (high - low)
         return out

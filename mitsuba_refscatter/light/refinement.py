@@ -349,10 +349,11 @@ def _relative(error, total):
     return float(error / total) if total > 0 else 0.0
 
 
-def no_larger(tracing, cells, size):
-    """``Cells`` that are cut where they are lit and larger than ``size``, so that no light goes between their nodes."""
+def no_larger(tracing, cells, size, unlit=False):
+    """``Cells`` that are cut where they are lit and larger than ``size``, so that no light goes between their nodes.
+    ``unlit``: whether others are cut, too."""
     while True:
-        chosen = np.flatnonzero(cells.leaf & cells.lit & (cells.size > size))
+        chosen = np.flatnonzero(cells.leaf & (cells.lit | unlit) & (cells.size > size))
         if len(chosen) == 0 or len(cells) + 4 * len(chosen) > tolerances.MOST_CELLS:
             return cells
         cells.leaf[chosen] = False

@@ -142,7 +142,8 @@ def follow(scene, photons, bounces):
         mi.UInt32(zero),
         dr.full(mi.Bool, True, n),
     )
-    dr.while_loop((state,), lambda state: state.active, lambda state: (_leg(state, scene, tables, (albedo, most), leave),),
+    limits = albedo, most
+    dr.while_loop((state,), lambda state: state.active, lambda state: (_leg(state, scene, tables, limits, leave),),
                   label="missing", mode="symbolic")  # fmt: skip
     dr.eval(left)
     found = np.array(left)[: len(KINDS) * regions * (shapes + 1)].reshape(len(KINDS), regions, shapes + 1)

@@ -75,11 +75,7 @@ def read(scene, tolerance, cache, straight=False, surfaces=False):
         others=others,
         records_key=key,
         geometry=_geometry(key, others),
-        mirrors=_per_shape(
-            scene, mi.Float, 0, {shape_number(shape): _extent(shape) for shape in others if _is_mirror(shape)}
-        )
-        if any(map(_is_mirror, others))
-        else None,
+        mirrors=_mirror_extents(scene, [shape for shape in others if _is_mirror(shape)]),
     )
 
 
@@ -156,6 +152,12 @@ def _per_shape(scene, kind, default, values):
     for shape_id, value in values.items():
         table[shape_id] = value
     return arrays.array(kind, table)
+
+
+def _mirror_extents(scene, mirrors):
+    """``Scene.mirrors``."""
+    extents = {shape_number(shape): _extent(shape) for shape in mirrors}
+    return _per_shape(scene, mi.Float, 0, extents) if extents else None
 
 
 def _extent(shape):

@@ -79,7 +79,7 @@ SUPPORTED = {
     "glass between": Part(
         "position",
         "a `dielectric` between a light and a body",
-        "casts a shadow: no connection through it, which a warning says",
+        "light goes through it with `light_bounces` 2 and more; else it casts a shadow, which a warning says",
     ),
     "homogeneous": Part("medium", "`homogeneous`", "rgb or spectral, `scale`; any albedo"),
     "hg": Part("phase function", "`isotropic`, `hg`", "closed forms"),
