@@ -15,7 +15,7 @@ from mitsuba_refscatter.integrators.hooks import Hooks
 
 OTHERS = {
     "interval_samples", "point_samples", "panels", "panel_points", "lobes", "adapts",
-    "bend", "linear", "newton", "guest_points", "samples_visibility", "coarse",
+    "bend", "linear", "newton", "guest_points", "samples_visibility", "coarse", "points",
 }  # fmt: skip
 """Of triangles themselves and other estimators, and of light that is not refracted; the same for all tolerances."""
 

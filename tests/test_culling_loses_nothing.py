@@ -150,7 +150,7 @@ def edges_seen(mesh, light, distant):
     return silhouette.silhouette_edges(mesh.corners, mesh.facet_normals, twin, light, distant)
 
 
-@pytest.mark.parametrize("eta", [0.8, 1.2, 1.5, 2.2])
+@pytest.mark.parametrize("eta", [0.8, 1.5, *(pytest.param(x, marks=pytest.mark.slow) for x in (1.2, 2.2))])
 @pytest.mark.parametrize("name", FREE_SHARE)
 def test_beams_are_free_as_far_as_said(rgb, tmp_path, name, eta):
     """No ray of a beam leaves its body before the beam's clear length."""

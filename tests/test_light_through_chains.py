@@ -194,7 +194,7 @@ def test_light_by_a_mirror():
               "bsdf": {"type": "conductor", "material": "none"}}  # fmt: skip
     lamp, behind = (-2.6, 0.4, 2.2), (-2.6, 0.4, -7.4)
     with_mirror = scene(lamp=point_light(lamp), body=body, hidden=hidden, mirror=mirror)
-    dark, lit = (image(with_mirror, n, internal_bounces=0) for n in (0, 2))
+    dark, lit = (image(with_mirror, n, 0.03, internal_bounces=0) for n in (0, 2))
     assert dark.max() == 0
     close(lit, image(scene(lamp=point_light(behind), body=body, hidden=hidden), 0, internal_bounces=0), 1e-2, 0.05)
 

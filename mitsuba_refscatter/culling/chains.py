@@ -44,15 +44,16 @@ class _Family:
     onward: float
 
 
-def of(structures, sample, bounces, drawn):
+def of(structures, sample, bounces, accuracy, drawn):
     """``{index of a region: LightBeams}`` of a ``LightSample``; places are relative to the centre of the region's
     ``walls``.
 
     structures  ``Structures`` of the scene
     bounces     int, how many events besides a first refraction are followed
+    accuracy    ``tolerances.Accuracy``
     drawn       as ``Culling.of`` has it
     """
-    maker = _Maker(structures, sample, bounces, drawn)
+    maker = _Maker(structures, sample, (bounces, accuracy), drawn)
     out = maker.beams(1.0)
     if not drawn:
         for index, one in out.items():
@@ -73,15 +74,17 @@ def walls(scene, region):
 class _Maker:
     """Makes the light beams of chains.
 
-    structures, sample, bounces, drawn  as ``of`` has them
+    structures, sample, drawn  as ``of`` has them
+    limits                     bounces and accuracy, as ``of`` has them
     """
 
-    def __init__(self, structures, sample, bounces, drawn):
+    def __init__(self, structures, sample, limits, drawn):
+        bounces, accuracy = limits
         self.structures, self.sample = structures, sample
         self.scene = structures.scene
         self.around = Surroundings(self.scene, bounces)
         self.slack = max(drawn, 1) ** 0.5
-        self.asked = max(structures.accuracy.cells, tolerances.CHAINS_FINEST) * self.slack
+        self.asked, self.coarse = accuracy.cells * self.slack, accuracy.coarse
         low, high = self.scene.box()
         self.far = float(np.linalg.norm(high - low))
         self.families, self.total, self.made = None, 0.0, {}
@@ -163,7 +166,7 @@ class _Maker:
     def _domain(self, first):
         """First cells: of a coarse mesh where there is one."""
         mesh = None
-        if self.structures.accuracy.coarse and first.side > 0 and first.body.refracts:
+        if self.coarse and first.side > 0 and first.body.refracts:
             mesh = self.structures.once("coarse", lambda: coarse_mesh.coarsest(first.body), first.body)
         return self._facets(first) if mesh is None else first_cells.Sheets(self.scene, first.body, mesh)
 

@@ -45,9 +45,9 @@ class LightBeams(Culling):
     for_one_light = True
     most_levels = tolerances.MAX_PAIR_SUBDIVISION
 
-    def points(self, accuracy):
-        """Gauss points along the curve in each of them."""
-        return tolerances.points_along(dr.width(self.records) // beams.stride(self.more), accuracy.along * self.slack)
+    def parts(self, accuracy):
+        """Parts of the curve in each of them that are summed by one point."""
+        return tolerances.parts_along(dr.width(self.records) // beams.stride(self.more), accuracy.along * self.slack)
 
     @classmethod
     def of(cls, body, shadows, structures, drawn):

@@ -14,14 +14,14 @@ for 2 pi / sqrt(det H) times F in its middle, with H the second derivatives of g
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
 
 from .. import tolerances
 from ..culling.beam import Zeros
-from ..geometry.interval import gauss_legendre, positive_part
+from ..geometry.interval import positive_part
 from ..light import beams
 from ..light.illumination import Illumination
 from ..transport.segments import LocalSegments
@@ -123,7 +123,7 @@ class BeamCurve(Estimator):
         pair = _Pair.of(pairs, segments, culling, illumination)
         level = mi.UInt32(0) if pairs.level is None else pairs.level
         may_cut = level < dr.opaque(mi.UInt32, culling.most_levels)
-        total, contributes, cut, resolved = _sum(pair, may_cut, culling.points(accuracy), accuracy)
+        total, contributes, cut, resolved = _sum(pair, may_cut, culling.parts(accuracy), accuracy)
         sums.add(pairs, total, contributes & ~cut, resolved, pairs.share())
         sums.eval(cut)
         return pairs.gather(dr.compress(cut)).quarters()
@@ -239,6 +239,10 @@ class _Way:
         """tau at a share of the part, 0 to 1."""
         return dr.fma(share, self.end - self.start, self.start)
 
+    def part(self, begin, share):
+        """A ``share`` of the part, from ``begin`` (0 to 1) on."""
+        return replace(self, start=self.at(begin), end=self.at(begin + share), width=self.width * share)
+
     def misjudged(self, tau, line, clip, t_max):
         """Whether the line at ``tau`` (Float) shows that the ends do not tell enough: t + s is far from linear where
         light begins or ends inside, or a limit may have another sign in between."""
@@ -255,40 +259,48 @@ class _Way:
         return dr.min(sigma_t) * nearest < tolerances.OPAQUE
 
 
-def _sum(pair, may_cut, points, accuracy):
-    """What pairs bring (Spectrum) by so many ``points``, which of them anything (Bool), which must be cut first (Bool),
+def _sum(pair, may_cut, parts, accuracy):
+    """What pairs bring (Spectrum), by so many ``parts`` of curves, which of them anything (Bool), which must be cut first (Bool),
     and which are resolved (Bool)."""
     g = pair.g()
     if dr.width(pair.h) > 1:  # of the part
         g = [beams.mix(pair.weights(u, v), g) for u, v in beams.NODES]
     arc = _Arc.of(g)
     way = _Way.of(pair, arc)
-    change = way.slope * way.width * pair.sigma_t
-    density, rise, uneven = _mean_density(arc, way)
-    cut = (uneven > dr.opaque(mi.Float, accuracy.uneven)) | (dr.max(dr.abs(change)) > tolerances.DEPTH)
-    cut &= way.width > 0
+    deep = dr.max(dr.abs(way.slope * way.width * pair.sigma_t)) > tolerances.DEPTH
+    cut = deep & (way.width > 0)
     loop, centre, ring = _loop(arc)
-    total, contributes, resolved = mi.Spectrum(0), mi.Bool(False), mi.Bool(True)
-    for k, (share, weight) in enumerate(zip(*gauss_legendre(points))):
-        tau = way.at(share)
-        x, y, here, found = arc.meet(tau)
-        if k == 0:  # a closed curve has one point, its middle
-            x, y = dr.select(loop, centre[0], x), dr.select(loop, centre[1], y)
+    share = dr.rcp(dr.opaque(mi.Float, parts))
+
+    def step(i, total, contributes, cut, resolved):
+        part = way.part(i * share, share)
+        density, rise, uneven = _mean_density(arc, part)
+        cut = cut | ((uneven > dr.opaque(mi.Float, accuracy.uneven)) & (part.width > 0))
+        tau = part.at(0.5)
+        x, y, _, found = arc.meet(tau)
+        ringed = loop & (i == 0)  # a closed curve has one point, its middle
+        x, y = dr.select(ringed, centre[0], x), dr.select(ringed, centre[1], y)
         w = pair.weights(*arc.uv(x, y))
         line = pair.line(w)
-        cut |= way.misjudged(tau, line, accuracy.clip, pair.segment.t_max)
+        cut = cut | way.misjudged(tau, line, accuracy.clip, pair.segment.t_max)
         # By one point: the means along the part of what changes most, relative to its middle.
-        value = density * _sinhc(0.5 * change) - rise * change / 12 if points == 1 else mi.Spectrum(here)
-        value *= weight * arc.E1 * arc.E2 * way.width
-        exists = arc.once & (way.width > 0)
-        if k == 0:
-            value, exists = dr.select(loop, mi.Spectrum(ring), value), exists | loop
+        change = part.slope * part.width * pair.sigma_t
+        value = (density * _sinhc(0.5 * change) - rise * change / 12) * (arc.E1 * arc.E2 * part.width)
+        value = dr.select(ringed, mi.Spectrum(ring), value)
         value *= _integrand(pair, line, w) * dr.exp(-_depth(pair, line))
-        active = exists & line.reaches(pair.segment.t_max)
+        active = ((arc.once & (part.width > 0)) | ringed) & line.reaches(pair.segment.t_max)
         finite = dr.all(dr.isfinite(value))
-        contributes |= active
-        resolved &= ~active | ((found | loop) & finite)
-        total += dr.select(active & finite, value, 0)
+        total = total + dr.select(active & finite, value, 0)
+        return i + 1, total, contributes | active, cut, resolved & (~active | ((found | loop) & finite))
+
+    n = dr.width(cut)
+    state = (
+        mi.Float(0), dr.zeros(mi.Spectrum, n), dr.zeros(mi.Bool, n), cut, dr.full(mi.Bool, True, n)
+    )  # fmt: skip
+    last = dr.opaque(mi.Float, parts)
+    _, total, contributes, cut, resolved = dr.while_loop(
+        state, lambda i, *_: i < last, step, label="curve", mode="symbolic"
+    )
     cut = may_cut & (arc.several | (cut & arc.once & way.in_sight(pair.sigma_t)))
     return total * dr.square(pair.h), contributes, cut, resolved
 

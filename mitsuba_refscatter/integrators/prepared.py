@@ -119,12 +119,19 @@ class Prepared:
         illumination = self.illumination(body, region, sample, found, wavelengths)
         return illumination if culling is None else illumination.off(culling.apart), culling
 
+    @property
+    def accuracy_of_chains(self):
+        """``Accuracy`` of light behind chains, of which there are no exact triangles."""
+        exact = self.accuracy.cells == 0
+        return tolerances.accuracy(tolerances.CHAINS_FINEST) if exact else self.accuracy
+
     def chains(self, sample, emitter):
         """``{region: LightBeams}`` of what a ``LightSample`` of an ``Emitter`` sends through chains. Made once for all
         renders where the emitter is one point or direction."""
 
         def make():
-            return chains.of(self.structures, sample, self.light_bounces, self.light_samples if emitter.drawn else 0)
+            drawn = self.light_samples if emitter.drawn else 0
+            return chains.of(self.structures, sample, self.light_bounces, self.accuracy_of_chains, drawn)
 
         if emitter.drawn:
             return make()

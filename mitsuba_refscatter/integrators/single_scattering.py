@@ -133,7 +133,7 @@ def _chained(prepared, region, emitter, taken, sums, culling):
         few = segments if index is None else segments.gather(index)
         light = ChainedLight.of(region, sample, origin, few.wavelengths, colours)
         sigma_s, sigma_t = region.coefficients(few.wavelengths, few.direction)
-        run = wavefront.Run(prepared.accuracy, pace=prepared.pace("chains", region.index, k))
+        run = wavefront.Run(prepared.accuracy_of_chains, pace=prepared.pace("chains", region.index, k))
         found, more = wavefront.scatter(few.from_boundary(centre, sigma_t), one, light, BeamCurve(), run)
         counts.add(more)
         weight = few.weight * sigma_s * (value if index is None else arrays.of(value, index))

@@ -114,13 +114,11 @@ class Tracing:
     def first(self):
         """All first cells."""
         n = len(self.domain)
-        zero = dr.zeros(mi.Float, n)
-        cells = Cells(
-            dr.arange(mi.UInt32, n), zero, mi.Float(zero), zero + 1, dr.empty(mi.Float, n * len(LATTICE) * self.numbers)
-        )
-        dr.eval(cells.u0, cells.v0, cells.h)
+        u0, v0, h, before = (dr.opaque(mi.Float, x, n) for x in (0, 0, 1, tolerances.ENDLESS))
+        cells = Cells(dr.arange(mi.UInt32, n), u0, v0, h, dr.empty(mi.Float, n * len(LATTICE) * self.numbers))
+        dr.make_opaque(cells.first)
         self._trace(cells, 0)
-        return self._judge(cells, mi.Float(tolerances.ENDLESS))
+        return self._judge(cells, before)
 
     def quarters(self, cells, chosen):
         """The quarters of the ``chosen`` (UInt32) of cells."""
@@ -139,12 +137,14 @@ class Tracing:
             )
         dr.eval(out.nodes)
         self._trace(out, len(NODES))
-        return self._judge(out, dr.gather(mi.Float, cells.wrong, parent))
+        before = dr.gather(mi.Float, cells.wrong, parent)
+        dr.eval(before)  # so that first cells and quarters take the same kernel
+        return self._judge(out, before)
 
     def _trace(self, cells, begin):
         """Traces the nodes of cells from number ``begin`` on."""
-        several = len(LATTICE) - begin
-        i = dr.arange(mi.UInt32, several * len(cells))
+        several, begin = (dr.opaque(mi.UInt32, x) for x in (len(LATTICE) - begin, begin))
+        i = dr.arange(mi.UInt32, int(several[0]) * len(cells))
         cell, node = i // several, i % several + begin
         u, v = (dr.gather(mi.Float, arrays.array(mi.Float, x), node) for x in zip(*LATTICE))
         u0, v0, h = (dr.gather(mi.Float, x, cell) for x in (cells.u0, cells.v0, cells.h))

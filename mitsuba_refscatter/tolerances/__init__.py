@@ -8,7 +8,7 @@ Tools (``benchmarks``, ``probing`` and others) name their own settings at the he
 ``tests/test_thresholds_have_one_home.py`` holds this.
 """
 
-from .accuracy import Accuracy, accuracy, levels, points_along
+from .accuracy import Accuracy, accuracy, levels, parts_along
 from .cells import *
 from .meshes import *
 

@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass
 
 ALONG = 10.0
-"""One point along the curve in a light beam makes an error of about this over the number of beams; n of them its nth
-power."""
+"""One point along the curve in a light beam makes an error of about this over the number of beams."""
 
-ALONG_POINTS = 1, 2, 4
-"""Points to choose from."""
+MOST_PARTS = 8
+"""Parts of the curve in a light beam, at most."""
 
 MAX_LEVELS = 8
 """Levels to which light beams are cut, at most."""
@@ -21,7 +20,7 @@ class Accuracy:
     """What the one knob ``tolerance`` selects.
 
     cells               relative L1 error of the image that light beams may make; 0: exact triangles instead
-    along               error that too few points along the curve in light beams may make
+    along               error that sums over too few parts of the curve in light beams may make
     uneven              largest error of the mean of 1 / |grad g| along the curve in one beam; above, it is cut
     coarse              whether the first cells of light beams may be those of a coarse mesh
     bend                largest deviation of a triangle's beam from a linear one, by its width; above, it is cut
@@ -60,12 +59,10 @@ class Accuracy:
     adapts: bool = True
 
 
-def points_along(beams, error):
-    """Gauss points along the curve in one of a number of light ``beams`` of one light, for a relative ``error``."""
-    for points in ALONG_POINTS:
-        if (ALONG / max(beams, 1)) ** points < error:
-            break
-    return points
+def parts_along(beams, error):
+    """Parts of the curve in one of a number of light ``beams`` of one light that are summed by one point each, for a
+    relative ``error``, which falls with their square."""
+    return min(math.ceil(math.sqrt(ALONG / max(beams, 1) / max(error, 1e-30))), MOST_PARTS)
 
 
 def levels(error):

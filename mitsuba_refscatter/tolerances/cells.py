@@ -52,8 +52,8 @@ MIRROR_OFFSET = 1e-4
 NO_QUADRATIC = 0.3
 """Error of a cell from which on a quadratic tells no more than corners do, but costs more."""
 
-CHAINS_FINEST = 1e-4
-"""Least error that light beams behind chains are made for."""
+CHAINS_FINEST = 1e-3
+"""Tolerance of light behind chains where that of first refractions is 0, exact triangles."""
 
 CHAIN_CELL = 2.0**-4
 """Largest edge of a cell of light, relative to its body, that is followed to other surfaces, which may be small."""
