@@ -293,14 +293,10 @@ def _sum(pair, may_cut, parts, accuracy):
         total = total + dr.select(active & finite, value, 0)
         return i + 1, total, contributes | active, cut, resolved & (~active | ((found | loop) & finite))
 
-    n = dr.width(cut)
-    state = (
-        mi.Float(0), dr.zeros(mi.Spectrum, n), dr.zeros(mi.Bool, n), cut, dr.full(mi.Bool, True, n)
-    )  # fmt: skip
-    last = dr.opaque(mi.Float, parts)
-    _, total, contributes, cut, resolved = dr.while_loop(
-        state, lambda i, *_: i < last, step, label="curve", mode="symbolic"
-    )
+    n, last = dr.width(cut), dr.opaque(mi.Float, parts)
+    state = mi.Float(0), dr.zeros(mi.Spectrum, n), dr.zeros(mi.Bool, n), cut, dr.full(mi.Bool, True, n)
+    end = list(dr.while_loop(state, lambda i, *_: i < last, step, label="curve", mode="symbolic"))
+    total, contributes, cut, resolved = end[1:]
     cut = may_cut & (arc.several | (cut & arc.once & way.in_sight(pair.sigma_t)))
     return total * dr.square(pair.h), contributes, cut, resolved
 
