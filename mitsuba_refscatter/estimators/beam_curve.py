@@ -260,8 +260,8 @@ class _Way:
 
 
 def _sum(pair, may_cut, parts, accuracy):
-    """What pairs bring (Spectrum), by so many ``parts`` of curves, which of them anything (Bool), which must be cut first (Bool),
-    and which are resolved (Bool)."""
+    """What pairs bring (Spectrum), by so many ``parts`` of curves, which of them anything (Bool), which must be cut
+    first (Bool), and which are resolved (Bool)."""
     g = pair.g()
     if dr.width(pair.h) > 1:  # of the part
         g = [beams.mix(pair.weights(u, v), g) for u, v in beams.NODES]
