@@ -149,8 +149,7 @@ PICKED = {
     "grazing camera rays": "1.6e-3",
     "camera rays within 0.05 of a perfect focus": "5.2e-3",
 }
-"""L1 errors above the limit, of rays that are picked where light varies most: beams keep to the tolerance over an image.
-"""
+"""L1 errors above the limit, of rays that are picked where light varies most: beams keep to the tolerance of images."""
 
 
 def marked(case):
