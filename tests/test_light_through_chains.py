@@ -178,6 +178,7 @@ def test_a_window_that_does_not_refract():
     close(lit, image(tank(), 0), 5e-3, 0.02)
 
 
+@pytest.mark.slow
 def test_a_window():
     """Of glass it leaves what two boundaries let through, and makes the way shorter by a third of its thickness."""
     pane = {"type": "cube", "to_world": to(("translate", [-1.9, 0, 0]), ("scale", [0.04, 1.7, 1.7]))}
