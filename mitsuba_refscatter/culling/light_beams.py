@@ -22,7 +22,7 @@ from .protocol import Culling
 class LightBeams(Culling):
     """The light beams of one light sample in one body, and their tree.
 
-    records   Float, flat, ``beams.BEAM`` numbers per beam
+    records   Float, flat, ``beams.stride(more)`` numbers per beam
     tree      over the beams
     width     mean width of the beams, in units of the scene
     estimate  relative L1 error of the image that is expected

@@ -25,13 +25,15 @@ from ..scene.media import visible
 class ChainsKey:
     """Of the light beams behind chains.
 
-    scene     digest of all that can be changed in a scene but for its sensors
-    emitter   number of the light
-    accuracy  what the tolerance decides
-    bounces   events that are followed
+    scene       Mitsuba's, the object itself
+    parameters  digest of all that can be changed in it but for its sensors
+    emitter     number of the light
+    accuracy    what the tolerance decides
+    bounces     events that are followed
     """
 
-    scene: bytes
+    scene: mi.Scene
+    parameters: bytes
     emitter: int
     accuracy: tolerances.Accuracy
     bounces: int
@@ -85,7 +87,7 @@ class Prepared:
         return self.once(wavefront.Pace, "pace", *what)
 
     def parameters(self):
-        """Digest of all that can be changed in the scene."""
+        """Digest of all that can be changed in the scene but for its sensors."""
         return self.once(lambda: parameters(self.given), "parameters")
 
     def shadows(self, body, sample):
@@ -135,8 +137,7 @@ class Prepared:
 
         if emitter.drawn:
             return make()
-        key = ChainsKey(self.once(lambda: parameters(self.given, False), "lit"), emitter.index, self.accuracy,
-                        self.light_bounces)  # fmt: skip
+        key = ChainsKey(self.given, self.parameters(), emitter.index, self.accuracy, self.light_bounces)
         return self.cache.once(make, key)
 
     def illumination(self, body, region, sample, shadows, wavelengths=None) -> Illumination:

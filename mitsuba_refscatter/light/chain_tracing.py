@@ -109,7 +109,7 @@ class ChainTracing(Tracing):
         dark = (state.phi > 0) & ~lit
         state.alive = state.alive & at.found
         state = self._follow(state)
-        hit, length, here = self._last_leg(state)
+        hit, length, here = self._meet(state)
         scatters, most = self.around.follows(here)
         endless = most > 0
         arrives = hit.valid | endless
@@ -201,8 +201,6 @@ class ChainTracing(Tracing):
         hit = crossing.trace(scene, state.o, state.d, state.alive)
         here = dr.select(hit.boundary, hit.near, state.region)
         return hit, dr.select(hit.valid, hit.pi.t, 0), here
-
-    _last_leg = _meet
 
     def _event(self, state, reflects):
         """``State`` behind what light meets next; ``reflects`` (Bool): whether it is reflected there."""

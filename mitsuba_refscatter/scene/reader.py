@@ -206,10 +206,10 @@ def _may_be_inside(emitter, body):
     return emitter.box is not None and boxes_meet(emitter.box, body.box)
 
 
-def parameters(scene, sensors=True):
-    """Digest of all that can be changed in a ``mi.Scene``; with or without its ``sensors``."""
-    hidden = () if sensors else tuple(f"{sensor.id()}." for sensor in scene.sensors())
-    found = ((key, value) for key, value in mi.traverse(scene) if not key.startswith(hidden))
+def parameters(scene):
+    """Digest of all that can be changed in a ``mi.Scene`` but for its sensors."""
+    sensors = tuple(f"{sensor.id()}." for sensor in scene.sensors())
+    found = ((key, value) for key, value in mi.traverse(scene) if not key.startswith(sensors))
     return digest(*(x for key, value in found for x in (key, getattr(value, "matrix", value))))
 
 

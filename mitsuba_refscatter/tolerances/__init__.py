@@ -8,7 +8,7 @@ Tools (``benchmarks``, ``probing`` and others) name their own settings at the he
 ``tests/test_thresholds_have_one_home.py`` holds this.
 """
 
-from .accuracy import Accuracy, accuracy, levels, parts_along
+from .accuracy import MAX_PAIR_SUBDIVISION, Accuracy, accuracy, levels, parts_along
 from .cells import *
 from .meshes import *
 
@@ -113,12 +113,6 @@ OVERSHOOT = 2.0
 
 MAX_SUBDIVISION = 5
 """Most levels (each cuts a triangle in 4) by which a strongly bent beam is refined, for all segments."""
-
-MAX_PAIR_SUBDIVISION = 8
-"""Most levels by which a beam is refined for the segments along which g is far from linear on it.
-
-Where a light is next to the camera it is so everywhere, and parts are small compared to their distance: g is then
-not far from its rounding in float32."""
 
 MOST_LEVELS = 2 * MAX_SUBDIVISION
 """Most levels by which a triangle that no beams were made of is cut for single segments: of all the most."""

@@ -11,8 +11,11 @@ ALONG = 10.0
 MOST_PARTS = 8
 """Parts of the curve in a light beam, at most."""
 
-MAX_LEVELS = 8
-"""Levels to which light beams are cut, at most."""
+MAX_PAIR_SUBDIVISION = 8
+"""Most levels by which a beam is refined for the segments along which g is far from linear on it.
+
+Where a light is next to the camera it is so everywhere, and parts are small compared to their distance: g is then
+not far from its rounding in float32."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ def parts_along(beams, error):
 def levels(error):
     """Levels to which light beams with a relative ``error`` are cut for single segments: what is left then is a share
     of the light of about a tenth of it."""
-    return min(max(round(-math.log2(max(error, 1e-30))), 1), MAX_LEVELS)
+    return min(max(round(-math.log2(max(error, 1e-30))), 1), MAX_PAIR_SUBDIVISION)
 
 
 def accuracy(tolerance):
